@@ -1,0 +1,649 @@
+/*  refine.c - refine a skinned, animated character with a trained network, and say what it gains and costs
+    shows     the whole use of deformnet.h: load a model, bind a character, deform frame by frame with threads, time the
+              stages apart, compare with a truth, write frames, a picture and a JSON report
+    not here  reading files (common/scene.h), the pictures (common/picture.h), threads (common/pool.h), training (train/)
+    build     make refine
+    run       ./refine                                     the bundled demo
+              ./refine --character C.glb --motion A.glb --out refined.glb
+              ./refine --character C.glb --truth T.safetensors --picture errors.png --json report.json
+    flow      character --bind--> rig --+
+              motion or truth --> palettes (S,3,4) --skin, features, network, normals--> vertices (V,3), every frame
+              truth (V,3) ----------------------------------------------------------> errors, picture */
+#define _POSIX_C_SOURCE 200809L
+#define DEFORMNET_IMPLEMENTATION
+#include "../deformnet.h"
+#include "common/picture.h"
+#include "common/pool.h"
+#include "common/scene.h"
+#include <errno.h>
+#include <limits.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+/* ===================================================================================== >>small things */
+static const char usage[] =
+   "usage: refine [--model M.safetensors] [--character C.glb|C.safetensors] [--motion A.glb] [--animation NAME]\n"
+   "              [--frames a:b] [--truth T.safetensors] [--threads n]\n"
+   "              [--out O.glb|O.safetensors] [--picture P.png] [--json R.json]\n"
+   "  without --character, --motion and --truth: the bundled demo\n"
+   "  --frames a:b  frames a, a+1 .. b-1 (either may be left out); with --truth, by the truth's own frame numbers\n"
+   "  --truth       evaluates the truth's poses; frames that it marks as not settled are left out and counted\n";
+
+static int say(const char *format, ...) /* one line to stderr; returns the exit code of a failure */
+{
+   va_list list;
+   fputs("refine: ", stderr);
+   va_start(list, format);
+   vfprintf(stderr, format, list);
+   va_end(list);
+   fputc('\n', stderr);
+   return 1;
+}
+static int say_error(const char *file, const dn_error *e)
+{
+   return say("%s: %s: %s (%s)", file, e->where ? e->where : "deformnet", dn_result_text(e->code), e->info);
+}
+
+static void *take(size_t count, size_t size) /* zero-filled; NULL when it does not fit */
+{
+   return size && count > SIZE_MAX / size ? NULL : calloc(count ? count : 1, size ? size : 1);
+}
+static double now_ms(void)
+{
+   struct timespec t;
+   clock_gettime(CLOCK_MONOTONIC, &t);
+   return (double)t.tv_sec * 1e3 + (double)t.tv_nsec * 1e-6;
+}
+
+static int by_double(const void *a, const void *b)
+{
+   double x = *(const double *)a, y = *(const double *)b;
+   return (x > y) - (x < y);
+}
+static int by_float(const void *a, const void *b)
+{
+   float x = *(const float *)a, y = *(const float *)b;
+   return (x > y) - (x < y);
+}
+static double median(double *x, size_t n) /* sorts x */
+{
+   if (n == 0) return 0;
+   qsort(x, n, sizeof *x, by_double);
+   return n % 2 ? x[n / 2] : (x[n / 2 - 1] + x[n / 2]) / 2;
+}
+
+typedef struct figures { double mean, p99, max; } figures; /* centimetres */
+static figures measure(float *error, size_t n) /* metres; sorts error. The 99th percentile is interpolated linearly */
+{
+   figures f = { 0, 0, 0 };
+   double at = 0.99 * (double)(n ? n - 1 : 0);
+   size_t i = (size_t)at;
+   if (n == 0) return f;
+   qsort(error, n, sizeof *error, by_float);
+   for (i = 0; i < n; i++) f.mean += (double)error[i];
+   f.mean *= 100.0 / (double)n;
+   f.max = 100.0 * (double)error[n - 1];
+   i = (size_t)at;
+   f.p99 = 100.0 * ((double)error[i] + (at - (double)i) * (double)(error[i + 1 < n ? i + 1 : i] - error[i]));
+   return f;
+}
+
+/* ===================================================================================== >>options */
+typedef struct options {
+   const char *model, *character, *motion, *animation, *truth, *out, *picture, *json;
+   long first, end; /* frames */
+   unsigned threads;
+} options;
+
+static int ends_with(const char *s, const char *end)
+{
+   size_t n = strlen(s), m = strlen(end);
+   return n >= m && strcmp(s + n - m, end) == 0;
+}
+
+static int read_number(const char *s, const char **end, long *value)
+{
+   char *e;
+   errno = 0;
+   *value = strtol(s, &e, 10);
+   *end = e;
+   return e == s || errno != 0 || *value < 0;
+}
+
+static int read_options(options *o, int argc, char **argv)
+{
+   int i;
+   memset(o, 0, sizeof *o);
+   o->end = LONG_MAX;
+   for (i = 1; i < argc; i++) {
+      const char *key = argv[i], *value = i + 1 < argc ? argv[i + 1] : NULL, *rest;
+      const char **text = strcmp(key, "--model") == 0     ? &o->model
+                        : strcmp(key, "--character") == 0 ? &o->character
+                        : strcmp(key, "--motion") == 0    ? &o->motion
+                        : strcmp(key, "--animation") == 0 ? &o->animation
+                        : strcmp(key, "--truth") == 0     ? &o->truth
+                        : strcmp(key, "--out") == 0       ? &o->out
+                        : strcmp(key, "--picture") == 0   ? &o->picture
+                        : strcmp(key, "--json") == 0      ? &o->json
+                                                          : NULL;
+      long n;
+      if (strcmp(key, "--help") == 0 || strcmp(key, "-h") == 0) {
+         fputs(usage, stdout);
+         exit(0);
+      }
+      if (!text && strcmp(key, "--threads") != 0 && strcmp(key, "--frames") != 0)
+         return say("unknown argument \"%s\" (--help lists them)", key);
+      if (!value) return say("%s needs a value", key);
+      i++;
+      if (text) *text = value;
+      else if (strcmp(key, "--threads") == 0) {
+         if (read_number(value, &rest, &n) || *rest || n < 1 || n > 256) return say("--threads %s: expected 1 to 256", value);
+         o->threads = (unsigned)n;
+      } else {
+         rest = value;
+         if (*rest != ':' && read_number(rest, &rest, &o->first)) return say("--frames %s: expected a:b", value);
+         if (*rest++ != ':' || (*rest && read_number(rest, &rest, &o->end)) || *rest || o->end <= o->first)
+            return say("--frames %s: expected a:b with a < b", value);
+      }
+   }
+   if (o->out && !ends_with(o->out, ".glb") && !ends_with(o->out, ".safetensors"))
+      return say("--out %s: expected a name ending in .glb or .safetensors", o->out);
+   if (!o->threads) {
+      long n = sysconf(_SC_NPROCESSORS_ONLN);
+      o->threads = n < 1 ? 1 : n > 8 ? 8 : (unsigned)n;
+   }
+   return 0;
+}
+
+/* a bundled file, from the working directory or beside the program */
+static const char *bundled(const char *program, const char *name, char *path, size_t size)
+{
+   const char *slash = strrchr(program, '/');
+   const char *found = NULL;
+   int k;
+   for (k = 0; k < 3 && !found; k++) {
+      if (k == 0) snprintf(path, size, "%s", name);
+      else if (k == 1) snprintf(path, size, "examples/%s", name);
+      else if (slash) snprintf(path, size, "%.*s/%s", (int)(slash - program), program, name);
+      if (access(path, R_OK) == 0) found = path;
+   }
+   if (!found) snprintf(path, size, "%s", name); /* opening it gives the error */
+   return path;
+}
+
+/* ===================================================================================== >>truth */
+typedef struct truth {
+   ex_tensors *file;
+   const ex_tensor *vertices; /* (F,V,3) */
+   uint32_t *numbers;         /* (F) frame numbers of the motion */
+   float *settled;            /* (F) 0: left out; NULL: the file does not say */
+   size_t frames;
+} truth;
+
+static void truth_close(truth *t)
+{
+   ex_tensors_close(t->file);
+   free(t->numbers);
+   free(t->settled);
+   memset(t, 0, sizeof *t);
+}
+
+static int truth_open(truth *t, const char *path, const ex_scene *scene)
+{
+   char error[EX_ERROR];
+   size_t sides[3], f;
+   const ex_tensor *numbers, *settled;
+   memset(t, 0, sizeof *t);
+   t->file = ex_tensors_open(path, error);
+   if (!t->file) return say("%s", error);
+   sides[0] = 0, sides[1] = scene->vertices, sides[2] = 3;
+   t->vertices = ex_tensors_get(t->file, "vertices", 3, sides, error);
+   if (!t->vertices) return say("%s", error);
+   if (t->vertices->type != EX_F32) return say("%s: vertices: expected F32, file has %s", path, ex_dtype_name(t->vertices->type));
+   t->frames = t->vertices->shape[0];
+   t->numbers = (uint32_t *)take(t->frames, sizeof *t->numbers);
+   if (!t->numbers) return say("%s: out of memory", path);
+   for (f = 0; f < t->frames; f++) t->numbers[f] = (uint32_t)f;
+   if (ex_tensors_find(t->file, "frames")) {
+      numbers = ex_tensors_get(t->file, "frames", 1, &t->frames, error);
+      if (!numbers || !ex_tensor_u32(t->file, numbers, t->numbers, error)) return say("%s", error);
+   }
+   if (ex_tensors_find(t->file, "settled")) {
+      settled = ex_tensors_get(t->file, "settled", 1, &t->frames, error);
+      t->settled = settled ? (float *)take(t->frames, sizeof *t->settled) : NULL;
+      if (!t->settled) return say("%s", settled ? "out of memory" : error);
+      ex_tensor_f32(settled, t->settled);
+   }
+   return 0;
+}
+
+/* ===================================================================================== >>bind */
+static int show_progress(void *user, const char *stage, float done)
+{
+   (void)user;
+   fprintf(stderr, "\r%s %3.0f %%  %s", stage, (double)(done * 100), done >= 1 ? "\r                              \r" : "");
+   return 0;
+}
+
+static dn_rig *bind(const dn_model *model, const ex_scene *s, const dn_parallel *parallel, dn_report *report, dn_error *err)
+{
+   dn_rig_desc d;
+   dn_skin_set set;
+   dn_progress progress;
+   memset(&d, 0, sizeof d);
+   memset(&set, 0, sizeof set);
+   memset(&progress, 0, sizeof progress);
+   set.influences = s->influences;
+   set.joints = s->skin_joints;
+   set.joint_type = DN_U32;
+   set.weights = s->skin_weights;
+   set.weight_type = DN_F32;
+   d.mesh.vertices = s->vertices;
+   d.mesh.positions = s->positions;
+   d.mesh.triangles = s->triangles;
+   d.mesh.indices = s->triangle;
+   d.mesh.index_type = DN_U32;
+   d.mesh.skin_sets = 1;
+   d.mesh.skin = &set;
+   d.skeleton.joints = s->joints;
+   d.skeleton.names = (const char *const *)s->names;
+   d.skeleton.parents = s->parents;
+   d.skeleton.inverse_bind = s->inverse_bind;
+   d.skeleton.matrix = DN_3X4_ROWS;
+   if (isatty(2)) progress.step = show_progress;
+   d.progress = &progress;
+   d.parallel = parallel;
+   return dn_rig_create(model, &d, NULL, report, err);
+}
+
+/* ===================================================================================== >>the job */
+enum { SKIN, FEATURES, NETWORK, NORMALS, STAGES };
+
+typedef struct job {
+   options o;
+   dn_model *model;
+   dn_model_info info;
+   ex_scene *scene;
+   ex_motion *motion;
+   truth truth;
+   ex_pool *pool;
+   dn_parallel parallel;
+   dn_rig *rig;
+   dn_rig_view view;
+   dn_report report;
+   void *scratch_block, *scratch;
+   size_t scratch_bytes;
+   size_t *frame, frames, unsettled; /* the motion's frames evaluated */
+   double *ms[STAGES], *total;       /* (frames) */
+   double ms_bind, ms_stage[STAGES], ms_total;
+   float *refined, *normals;         /* (frames,V,3) when they are written out, else (V,3) */
+   float *skinned, *skinned_normals; /* (V,3) of the frame at hand */
+   float *lbs_error, *refined_error; /* (frames,V) with a truth */
+   double *lbs_mean, *refined_mean;  /* (frames) centimetres; without a truth refined_mean is the displacement's */
+   float *worst[6];                  /* the picture's frame: skinned, refined, truth positions, then their normals */
+   size_t worst_frame;
+   size_t fallback_nodes, fallback_frames, worse_frames, resting, resting_kept;
+   figures lbs, ours;
+} job;
+
+/* which of the motion's frames are asked for, and of those, which the truth calls settled */
+static int choose_frames(job *j)
+{
+   size_t f;
+   j->frame = (size_t *)take(j->motion->frames, sizeof *j->frame);
+   if (!j->frame) return say("out of memory");
+   for (f = 0; f < j->motion->frames; f++) {
+      unsigned long number = j->truth.file ? j->truth.numbers[f] : (unsigned long)f;
+      if (number < (unsigned long)j->o.first || number >= (unsigned long)j->o.end) continue;
+      if (j->truth.settled && !(j->truth.settled[f] > 0)) j->unsettled++;
+      else j->frame[j->frames++] = f;
+   }
+   if (j->frames) return 0;
+   if (j->unsettled) return say("%s: none of the %zu frames asked for has settled", j->o.truth, j->unsettled);
+   if (j->truth.file && j->truth.frames)
+      return say("--frames: no frame in that range; the truth has %zu, from %lu to %lu", j->truth.frames,
+                 (unsigned long)j->truth.numbers[0], (unsigned long)j->truth.numbers[j->truth.frames - 1]);
+   return say("--frames: no frame in that range; there are %zu", j->motion->frames);
+}
+
+static int allocate(job *j)
+{
+   size_t v = j->scene->vertices, kept = j->o.out ? j->frames : 1, i;
+   int bad = 0;
+   j->scratch_bytes = dn_scratch_size(j->rig, j->parallel.workers);
+   j->scratch_block = take(j->scratch_bytes + 63, 1);
+   j->scratch = (void *)(((uintptr_t)j->scratch_block + 63) & ~(uintptr_t)63);
+   for (i = 0; i < STAGES; i++) bad |= !(j->ms[i] = (double *)take(j->frames, sizeof **j->ms));
+   bad |= !(j->total = (double *)take(j->frames, sizeof *j->total));
+   bad |= !(j->lbs_mean = (double *)take(j->frames, sizeof *j->lbs_mean));
+   bad |= !(j->refined_mean = (double *)take(j->frames, sizeof *j->refined_mean));
+   bad |= !(j->skinned = (float *)take(v, 12)) || !(j->skinned_normals = (float *)take(v, 12));
+   for (i = 0; i < 6; i++) bad |= !(j->worst[i] = (float *)take(v, 12));
+   if (v > SIZE_MAX / 12 / kept) return say("out of memory");
+   bad |= !(j->refined = (float *)take(kept * v, 12)) || !(j->normals = (float *)take(kept * v, 12));
+   if (v > SIZE_MAX / 4 / j->frames) return say("out of memory");
+   bad |= !(j->lbs_error = (float *)take(j->frames * v, 4)) || !(j->refined_error = (float *)take(j->frames * v, 4));
+   return bad || !j->scratch_block ? say("out of memory for %zu frames of %zu vertices", j->frames, v) : 0;
+}
+
+static float distance(const float *a, const float *b)
+{
+   float x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+   return sqrtf(x * x + y * y + z * z);
+}
+
+/* errors of frame i (with a truth) or its displacement, and the frame to picture */
+static void compare(job *j, size_t i, const float *refined, const float *refined_normals)
+{
+   size_t v, n = j->scene->vertices;
+   const float *want = j->truth.file ? (const float *)j->truth.vertices->data + j->frame[i] * n * 3 : NULL;
+   float *lbs = j->lbs_error + i * n, *ours = j->refined_error + i * n;
+   double sum_lbs = 0, sum_ours = 0;
+   for (v = 0; v < n; v++) {
+      const float resting = 0.0005f; /* metres: here skinning was right */
+      lbs[v] = want ? distance(j->skinned + 3 * v, want + 3 * v) : 0;
+      ours[v] = distance(refined + 3 * v, (want ? want : j->skinned) + 3 * v);
+      sum_lbs += (double)lbs[v], sum_ours += (double)ours[v];
+      if (want && lbs[v] <= resting) j->resting++, j->resting_kept += ours[v] <= resting;
+   }
+   j->lbs_mean[i] = 100 * sum_lbs / (double)n;
+   j->refined_mean[i] = 100 * sum_ours / (double)n;
+   if (want && sum_ours > sum_lbs) j->worse_frames++;
+   if (i == 0 || (want ? j->lbs_mean[i] > j->lbs_mean[j->worst_frame] : j->refined_mean[i] > j->refined_mean[j->worst_frame])) {
+      j->worst_frame = i;
+      memcpy(j->worst[0], j->skinned, n * 12), memcpy(j->worst[3], j->skinned_normals, n * 12);
+      memcpy(j->worst[1], refined, n * 12), memcpy(j->worst[4], refined_normals, n * 12);
+      if (want) memcpy(j->worst[2], want, n * 12);
+   }
+}
+
+static int deform_frames(job *j, const char *character)
+{
+   float *palette = (float *)take(j->scene->joints, 12 * sizeof *palette);
+   size_t i, n = j->scene->vertices * 3;
+   int bad = palette ? 0 : say("out of memory");
+   for (i = 0; i < j->frames && !bad; i++) {
+      size_t keep = j->o.out ? i * n : 0;
+      dn_pose pose;
+      dn_output out, plain;
+      dn_error err;
+      dn_result result;
+      double t[STAGES + 1];
+      memset(&pose, 0, sizeof pose);
+      memset(&out, 0, sizeof out);
+      memset(&plain, 0, sizeof plain);
+      ex_pose(j->scene, j->motion, j->frame[i], palette);
+      pose.palette = palette;
+      pose.matrix = DN_3X4_ROWS;
+      pose.strength = 1;
+      out.positions = j->refined + keep;
+      out.normals = j->normals + keep;
+      /* the four stages of dn_deform, called one by one to time them */
+      t[SKIN] = now_ms();
+      result = dn_stage_skin(j->rig, &pose, j->scratch, j->scratch_bytes, &j->parallel, &err);
+      t[FEATURES] = now_ms();
+      if (result == DN_OK || result == DN_NOT_FINITE) {
+         dn_stage_rows(j->rig, j->scratch, &j->parallel);
+         t[NETWORK] = now_ms();
+         dn_stage_network(j->rig, j->scratch, &j->parallel, NULL);
+         t[NORMALS] = now_ms();
+         result = dn_stage_output(j->rig, &pose, &out, j->scratch, &j->parallel, &err);
+         t[STAGES] = now_ms();
+      }
+      if (result != DN_OK && result != DN_NOT_FINITE) {
+         bad = say_error(character, &err);
+         break;
+      }
+      if (out.fallback_nodes) j->fallback_nodes += out.fallback_nodes, j->fallback_frames++;
+      for (size_t s = 0; s < STAGES; s++) j->ms[s][i] = t[s + 1] - t[s];
+      j->total[i] = t[STAGES] - t[SKIN];
+      pose.strength = 0; /* and the skinned mesh, to compare with */
+      plain.positions = j->skinned;
+      plain.normals = j->skinned_normals;
+      dn_stage_skin(j->rig, &pose, j->scratch, j->scratch_bytes, &j->parallel, NULL);
+      dn_stage_output(j->rig, &pose, &plain, j->scratch, &j->parallel, NULL);
+      compare(j, i, out.positions, out.normals);
+   }
+   free(palette);
+   return bad;
+}
+
+/* ===================================================================================== >>results */
+static void print_report(const job *j, const char *model, const char *character)
+{
+   const double mb = 1.0 / (1024 * 1024);
+   printf("model       %s: %s, %zu parameters\n", model, j->info.arch_name, j->info.parameters);
+   printf("character   %s: %zu vertices, %zu nodes, %zu edges, %zu joints", character, j->view.vertices, j->view.nodes,
+          j->report.edges, j->scene->joints);
+   if (j->report.joints_folded) printf(" (%zu not in the model)", j->report.joints_folded);
+   printf("\nframes      %zu", j->frames);
+   if (j->truth.file) printf(" of the truth, %zu that had not settled left out", j->unsettled);
+   printf("\nbind        %.0f ms, once\n", j->ms_bind);
+   printf("per frame   skin %.2f + features %.2f + network %.2f + normals %.2f: %.2f ms (medians; %u thread%s, %s)\n",
+          j->ms_stage[SKIN], j->ms_stage[FEATURES], j->ms_stage[NETWORK], j->ms_stage[NORMALS], j->ms_total,
+          j->parallel.workers, j->parallel.workers == 1 ? "" : "s", dn_kernel_name());
+   printf("memory      model %.2f MB, rig %.2f MB, scratch %.2f MB\n", (double)j->info.bytes * mb, (double)j->view.bytes * mb,
+          (double)j->scratch_bytes * mb);
+   if (j->fallback_frames)
+      printf("not finite  %zu nodes in %zu frames kept plain skinning\n", j->fallback_nodes, j->fallback_frames);
+   if (!j->truth.file) {
+      printf("moved by    %.3f cm on average, %.2f cm at most (no truth to compare with)\n", j->ours.mean, j->ours.max);
+      return;
+   }
+   printf("error, cm       mean     99 %%      max\n");
+   printf("  skinned   %8.3f %8.3f %8.3f\n", j->lbs.mean, j->lbs.p99, j->lbs.max);
+   printf("  refined   %8.3f %8.3f %8.3f\n", j->ours.mean, j->ours.p99, j->ours.max);
+   if (j->lbs.mean > 0 && j->lbs.p99 > 0 && j->lbs.max > 0)
+      printf("  ratio     %8.3f %8.3f %8.3f\n", j->ours.mean / j->lbs.mean, j->ours.p99 / j->lbs.p99, j->ours.max / j->lbs.max);
+   if (j->resting)
+      printf("resting     %.1f %% of the vertices that skinning had right (within 0.5 mm) are still right\n",
+             100 * (double)j->resting_kept / (double)j->resting);
+   printf("worse       %zu of %zu frames are worse than skinned, on average\n", j->worse_frames, j->frames);
+}
+
+static void json_figure(FILE *f, const char *key, int known, double value)
+{
+   if (known) fprintf(f, ",\n  \"%s\": %.6g", key, value);
+   else fprintf(f, ",\n  \"%s\": null", key);
+}
+
+static int write_json(const job *j)
+{
+   FILE *f = fopen(j->o.json, "w");
+   int known = j->truth.file != NULL, bad;
+   if (!f) return say("%s: cannot write there: %s", j->o.json, strerror(errno));
+   fprintf(f, "{\n  \"frames\": %zu,\n  \"vertices\": %zu,\n  \"nodes\": %zu,\n  \"threads\": %u", j->frames, j->view.vertices,
+           j->view.nodes, j->parallel.workers);
+   json_figure(f, "ms_bind", 1, j->ms_bind);
+   json_figure(f, "ms_skin", 1, j->ms_stage[SKIN]);
+   json_figure(f, "ms_features", 1, j->ms_stage[FEATURES]);
+   json_figure(f, "ms_network", 1, j->ms_stage[NETWORK]);
+   json_figure(f, "ms_normals", 1, j->ms_stage[NORMALS]);
+   json_figure(f, "ms_total", 1, j->ms_total);
+   fprintf(f, ",\n  \"bytes_model\": %zu,\n  \"bytes_rig\": %zu,\n  \"bytes_scratch\": %zu", j->info.bytes, j->view.bytes,
+           j->scratch_bytes);
+   json_figure(f, "lbs_mean_cm", known, j->lbs.mean);
+   json_figure(f, "lbs_p99_cm", known, j->lbs.p99);
+   json_figure(f, "lbs_max_cm", known, j->lbs.max);
+   json_figure(f, "refined_mean_cm", known, j->ours.mean);
+   json_figure(f, "refined_p99_cm", known, j->ours.p99);
+   json_figure(f, "refined_max_cm", known, j->ours.max);
+   fprintf(f, ",\n  \"unsettled\": %zu", j->unsettled);
+   json_figure(f, "resting_kept", known && j->resting, j->resting ? (double)j->resting_kept / (double)j->resting : 0);
+   json_figure(f, "worse_frames", known, (double)j->worse_frames);
+   fprintf(f, ",\n  \"fallback_nodes\": %zu,\n  \"kernels\": \"%s\"\n}\n", j->fallback_nodes, dn_kernel_name());
+   bad = ferror(f) != 0;
+   bad |= fclose(f) != 0;
+   return bad ? say("%s: writing failed", j->o.json) : 0;
+}
+
+static int write_frames(const job *j)
+{
+   char error[EX_ERROR];
+   size_t v = j->scene->vertices, i;
+   int good = 0;
+   float *times = (float *)take(j->frames, sizeof *times);
+   if (!times) return say("out of memory");
+   for (i = 0; i < j->frames; i++) times[i] = j->motion->times[j->frame[i]] - j->motion->times[j->frame[0]];
+   if (ends_with(j->o.out, ".glb")) {
+      ex_baked baked;
+      memset(&baked, 0, sizeof baked);
+      baked.name = "refined";
+      baked.vertices = v;
+      baked.triangles = j->scene->triangles;
+      baked.frames = j->frames;
+      baked.triangle = j->scene->triangle;
+      baked.positions = j->refined;
+      baked.normals = j->normals;
+      baked.times = times;
+      good = ex_write_glb(j->o.out, &baked, error);
+   } else {
+      ex_writer *w = ex_writer_open(j->o.out, error);
+      if (w) {
+         size_t shape[3], vertices, frames, times_id;
+         uint32_t *number = (uint32_t *)take(j->frames, sizeof *number);
+         shape[0] = j->frames, shape[1] = v, shape[2] = 3;
+         ex_writer_meta(w, "units", "metres");
+         vertices = ex_writer_tensor(w, "vertices", EX_F32, 3, shape);
+         frames = ex_writer_tensor(w, "frames", EX_I32, 1, shape);
+         times_id = ex_writer_tensor(w, "times", EX_F32, 1, shape);
+         ex_writer_put(w, vertices, 0, j->refined, j->frames * v * 3);
+         for (i = 0; i < j->frames && number; i++)
+            number[i] = j->truth.file ? j->truth.numbers[j->frame[i]] : (uint32_t)j->frame[i];
+         if (number) ex_writer_put(w, frames, 0, number, j->frames);
+         ex_writer_put(w, times_id, 0, times, j->frames);
+         free(number);
+         good = ex_writer_close(w, error);
+      }
+   }
+   free(times);
+   return good ? 0 : say("%s", error);
+}
+
+static int write_picture(job *j, const char *character)
+{
+   ex_comparison c;
+   ex_shape shape[3];
+   char title[200], text[2][96];
+   const char *name = strrchr(character, '/'), *why, *dot;
+   size_t n = j->scene->vertices, i, w = j->worst_frame;
+   unsigned long number = j->truth.file ? j->truth.numbers[j->frame[w]] : (unsigned long)j->frame[w];
+   float *error[2], *sorted = (float *)take(n, sizeof *sorted);
+   if (!sorted) return say("out of memory");
+   name = name ? name + 1 : character;
+   dot = strrchr(name, '.');
+   memset(&c, 0, sizeof c);
+   memset(shape, 0, sizeof shape);
+   error[0] = j->lbs_error + w * n, error[1] = j->refined_error + w * n;
+   for (i = 0; i < 2; i++) {
+      figures f;
+      memcpy(sorted, error[i], n * sizeof *sorted);
+      f = measure(sorted, n);
+      snprintf(text[i], sizeof text[i], "mean %.2f cm, 99 %% %.2f cm, max %.2f cm", f.mean, f.p99, f.max);
+   }
+   for (i = 0; i < 3; i++) shape[i].positions = j->worst[i], shape[i].normals = j->worst[3 + i];
+   shape[0].title = "Linear blend skinning";
+   shape[1].title = "Refined by the network";
+   shape[1].value = error[1];
+   shape[1].caption = text[1];
+   c.shapes = 2;
+   if (j->truth.file) {
+      shape[0].value = error[0];
+      shape[0].caption = text[0];
+      shape[2].title = "Truth";
+      shape[2].caption = "elastic simulation, offline";
+      ex_normals(n, j->worst[2], j->scene->triangles, j->scene->triangle, j->worst[5]);
+      c.shapes = 3;
+   }
+   snprintf(title, sizeof title, "%.*s, frame %lu: %s", dot ? (int)(dot - name) : (int)strlen(name), name, number,
+            j->truth.file ? "where skinning is worst" : "where the network moves most");
+   c.title = title;
+   c.scale_title = j->truth.file ? "distance to the truth" : "moved by the network";
+   c.vertices = n;
+   c.triangles = j->scene->triangles;
+   c.triangle = j->scene->triangle;
+   c.shape = shape;
+   c.looked_at = j->truth.file ? 0 : 1;
+   why = ex_compare(j->o.picture, &c);
+   free(sorted);
+   return why ? say("%s: %s", j->o.picture, why) : 0;
+}
+
+/* ===================================================================================== >>main */
+static int run(job *j, int argc, char **argv)
+{
+   char paths[3][1024], error[EX_ERROR];
+   const char *program = argc ? argv[0] : "refine", *model, *character, *motion;
+   dn_error err;
+   double t0;
+   size_t i, n;
+   int bundled_character;
+   memset(&err, 0, sizeof err);
+   if (read_options(&j->o, argc, argv)) return 1;
+   bundled_character = !j->o.character;
+   if (bundled_character && !j->o.motion && !j->o.truth)
+      j->o.truth = bundled(program, "demo/truth.safetensors", paths[0], sizeof paths[0]);
+   model = j->o.model ? j->o.model : bundled(program, "models/humanoid.safetensors", paths[1], sizeof paths[1]);
+   character = bundled_character ? bundled(program, "demo/humanoid.safetensors", paths[2], sizeof paths[2]) : j->o.character;
+   motion = j->o.truth ? j->o.truth : j->o.motion ? j->o.motion : character;
+
+   j->model = dn_model_load_file(model, NULL, &err);
+   if (!j->model) return say_error(model, &err);
+   dn_model_describe(j->model, &j->info);
+   j->scene = ex_scene_load(character, error);
+   if (!j->scene) return say("%s", error);
+   if (j->o.truth && truth_open(&j->truth, j->o.truth, j->scene)) return 1;
+   j->motion = ex_motion_load(motion, j->o.animation, j->scene, error);
+   if (!j->motion) return say("%s%s", error, motion == character ? "; give --motion or --truth" : "");
+   if (j->truth.file && j->motion->frames != j->truth.frames)
+      return say("%s: palettes of %zu frames, vertices of %zu", j->o.truth, j->motion->frames, j->truth.frames);
+   if (choose_frames(j)) return 1;
+
+   if (j->o.threads > 1 && !(j->pool = ex_pool_create(j->o.threads))) return say("cannot start %u threads", j->o.threads);
+   j->parallel = ex_pool_parallel(j->pool);
+   t0 = now_ms();
+   j->rig = bind(j->model, j->scene, &j->parallel, &j->report, &err);
+   if (!j->rig) return say_error(character, &err);
+   j->ms_bind = now_ms() - t0;
+   dn_rig_describe(j->rig, &j->view);
+   if (allocate(j) || deform_frames(j, character)) return 1;
+
+   for (i = 0; i < STAGES; i++) j->ms_stage[i] = median(j->ms[i], j->frames);
+   j->ms_total = median(j->total, j->frames);
+   if (j->o.out && write_frames(j)) return 1;
+   if (j->o.picture && write_picture(j, character)) return 1; /* before measure() sorts the errors */
+   n = j->frames * j->scene->vertices;
+   j->ours = measure(j->refined_error, n);
+   if (j->truth.file) j->lbs = measure(j->lbs_error, n);
+   if (j->o.json && write_json(j)) return 1;
+   print_report(j, model, character);
+   if (j->o.out) printf("wrote       %s\n", j->o.out);
+   if (j->o.picture) printf("wrote       %s\n", j->o.picture);
+   if (j->o.json) printf("wrote       %s\n", j->o.json);
+   return 0;
+}
+
+int main(int argc, char **argv)
+{
+   job j;
+   size_t i;
+   int code;
+   memset(&j, 0, sizeof j);
+   code = run(&j, argc, argv);
+   for (i = 0; i < STAGES; i++) free(j.ms[i]);
+   for (i = 0; i < 6; i++) free(j.worst[i]);
+   free(j.total), free(j.lbs_mean), free(j.refined_mean), free(j.lbs_error), free(j.refined_error);
+   free(j.refined), free(j.normals), free(j.skinned), free(j.skinned_normals), free(j.frame), free(j.scratch_block);
+   dn_rig_free(j.rig);
+   ex_pool_free(j.pool);
+   truth_close(&j.truth);
+   ex_motion_free(j.motion);
+   ex_scene_free(j.scene);
+   dn_model_free(j.model);
+   return code;
+}
