@@ -936,6 +936,53 @@ TEST(memory_of_ones_own)
    free(c);
 }
 
+TEST(a_scale_that_is_absent_is_left_out)
+{
+   static const struct { const char *name, *other; float neutral; } scales[] = {
+      {"\"input.mean\"", "\"input.lean\"", 0}, {"\"input.std\"", "\"input.sad\"", 1},
+      {"\"output.mean\"", "\"output.lean\"", 0}, {"\"output.std\"", "\"output.sad\"", 1}};
+   size_t size, bytes, i, k, used;
+   unsigned char *file = test_file("data/golden/mlp_small.safetensors", &size);
+   result *plain;
+   dn_error e;
+   body_make(&b0);
+   {
+      dn_model *m = dn_model_load(file, size, NULL, &e);
+      plain = deformed(m, &b0);
+      dn_model_free(m);
+   }
+   for (k = 0; k < 4; k++) {
+      unsigned char *neutral = test_copy(file, size), *renamed = test_copy(file, size);
+      size_t length = strlen(scales[k].name);
+      char name[32];
+      dn_tensors *t = NULL;
+      const dn_tensor *x;
+      dn_model *m[2];
+      result *r[2];
+      void *memory;
+      snprintf(name, sizeof name, "%.*s", (int)length - 2, scales[k].name + 1);
+      CHECK(dn_tensors_size(file, size, &bytes, &e) == DN_OK);
+      memory = test_aligned(bytes);
+      CHECK(dn_tensors_open(file, size, memory, bytes, &t, &e) == DN_OK);
+      x = dn_tensors_find(t, name);
+      if (CHECK_MSG(x != NULL, "no %s in the file", name))
+         for (i = 0; i < x->count; i++) memcpy(neutral + (x->data - file) + 4 * i, &scales[k].neutral, 4);
+      for (i = 8, used = 0; i + length < size; i++)
+         if (memcmp(renamed + i, scales[k].name, length) == 0) memcpy(renamed + i, scales[k].other, length), used++;
+      CHECK(used == 1);
+      m[0] = dn_model_load(neutral, size, NULL, &e), m[1] = dn_model_load(renamed, size, NULL, &e);
+      CHECK_MSG(m[0] && m[1], "without %s: %s", name, e.info);
+      r[0] = deformed(m[0], &b0), r[1] = deformed(m[1], &b0);
+      CHECK_MSG(m[0] && m[1] && differing(r[0], r[1], BODY_V) == 0, "without %s: not as with a neutral one", name);
+      CHECK(differing(plain, r[1], BODY_V) != 0); /* so it does matter */
+      free(r[0]), free(r[1]), free(neutral), free(renamed);
+      dn_model_free(m[0]), dn_model_free(m[1]);
+      test_aligned_free(memory);
+   }
+   free(plain);
+   free(file);
+}
+
 static int stop_at(void *user, const char *stage, float done)
 {
    size_t *left = (size_t *)user;
@@ -987,6 +1034,7 @@ int main(int argc, char **argv)
    RUN(weights_are_normalised_and_counted);
    RUN(the_bind_report);
    RUN(memory_of_ones_own);
+   RUN(a_scale_that_is_absent_is_left_out);
    RUN(bind_can_be_cancelled_at_every_step);
    return TEST_END();
 }

@@ -119,7 +119,8 @@ static void check_clusters(const meshy *m, const float *scores, const char *whic
    float *score = (float *)test_block(N * 4);
    const dn_clusters *c = &m->c;
    pairs = search(m, scores, partner, score);
-   CHECK_MSG(c->count == N - pairs, "%s: %lu clusters, not %lu", which, (unsigned long)c->count, (unsigned long)(N - pairs));
+   CHECK_MSG(c->count == N - pairs, "%s: %lu clusters, not %lu", which, (unsigned long)c->count,
+             (unsigned long)(N - pairs));
    if (c->count == N - pairs) {
       for (i = 0; i < N; i++) { /* numbered by the smaller member */
          uint32_t other = partner[i] == UINT32_MAX ? (uint32_t)i : partner[i] & 0x7fffffffu;
@@ -159,8 +160,10 @@ TEST(contraction_is_the_greedy_one)
             for (e = 0; e < m.edges; e++) {
                scores[e] = scores[e] * 0.5f + 0.5f;
                if (ties == 1) scores[e] = (float)(int)(scores[e] * 4) * 0.25f; /* many equal ones */
-               if (ties == 2 && pick(&seed, 0, 3) == 0) scores[e] = from_bits(0x7fc00000u | (pick(&seed, 0, 1) ? 0x80000000u : 0));
-               if (ties == 2 && pick(&seed, 0, 9) == 0) scores[e] = from_bits(pick(&seed, 0, 1) ? 0x7f800000u : 0xff800000u);
+               if (ties == 2 && pick(&seed, 0, 2) == 0) { /* NaN and infinity of both signs */
+                  static const uint32_t strange[] = { 0x7fc00000u, 0xffc00001u, 0x7f800000u, 0xff800000u };
+                  scores[e] = from_bits(strange[pick(&seed, 0, 3)]);
+               }
                if (ties == 3) scores[e] = pick(&seed, 0, 1) ? -0.0f : (float)pick(&seed, 0, 2) - 1; /* -0 ties with 0 */
             }
             dn_pool_contract(&m.g, scores, &m.c, m.scratch);
@@ -286,7 +289,8 @@ TEST(gather_and_scatter_are_the_formulas)
    uint64_t seed = 37;
    size_t n, i, x, tiny = 0;
    for (n = 0; n < 30; n++) {
-      size_t N = pick(&seed, 1, 40), width = pick(&seed, 1, 20), vs = width + pick(&seed, 0, 2), cs = width + pick(&seed, 0, 2);
+      size_t N = pick(&seed, 1, 40), width = pick(&seed, 1, 20);
+      size_t vs = width + pick(&seed, 0, 2), cs = width + pick(&seed, 0, 2);
       pool_case p = random_pool(&seed, 3, 2, offsets[n % 3]);
       meshy m = random_meshy(&seed, N, (int)(n % KINDS));
       float *s = random_floats(&seed, m.edges, 1), *v = random_floats(&seed, N * vs, 1);

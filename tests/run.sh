@@ -1,7 +1,7 @@
 #!/bin/bash
 # run.sh - runs the tests that the Makefile built, prints what they print, adds up what they report
 # usage   ./run.sh BUILD "NAMES" "KINDS"     kinds: plain sanitized nosimd threads scripts
-# A program's last summary counts: "name: 12 passed, 0 failed", "3 tests, 12 checks, 0 failed" or "3 checks, 0 failed".
+# A program's last summary counts: "name: 12 passed, 0 failed", "3 tests, 12 checks, 0 failed" or "12 inputs, ...".
 # A program that is missing, that says nothing, that crashes, hangs or exits with an error counts as one failure at least.
 cd "$(dirname "$0")" || exit 2
 build=$1 names=$2 kinds=$3
@@ -19,9 +19,10 @@ one()
    timeout -k 10 "$limit" "$@" > "$log" 2>&1
    rc=$?
    cat "$log"
-   line=$(grep -E '[0-9]+ (checks|passed)(, | \()' "$log" | tail -n 1)
+   line=$(grep -E '[0-9]+ (checks|passed|inputs)(, | \()' "$log" | tail -n 1)
    if [[ $line =~ ([0-9]+)\ passed.*[^0-9]([0-9]+)\ failed ]]; then p=${BASH_REMATCH[1]} f=${BASH_REMATCH[2]}
    elif [[ $line =~ ([0-9]+)\ checks,\ ([0-9]+)\ failed ]]; then f=${BASH_REMATCH[2]} p=$((BASH_REMATCH[1] - f))
+   elif [[ $line =~ ([0-9]+)\ inputs ]]; then p=${BASH_REMATCH[1]} # a fuzzer that lived
    else echo "FAIL $title: no summary" && f=1
    fi
    if ((p == 0 && f == 0)); then echo "FAIL $title: checked nothing" && f=1; fi

@@ -23,6 +23,7 @@ def normals(p, f):
 
 def top4(w):
     """the four largest weights of every row, normalised"""
+    w = np.pad(w, ((0, 0), (0, max(0, 4 - w.shape[1]))))
     j = np.argsort(-w, axis=1, kind="stable")[:, :4]
     v = np.take_along_axis(w, j, 1)
     v = v / v.sum(1, keepdims=True)

@@ -199,6 +199,9 @@ def make_batch(poses, features, root, n=None, halo=0, scale=None, pool=True, wid
     scale: (2,D) mean and 1/std. With pool the characters' contractions must be set"""
     n = n or poses[0].character.nodes
     P, total = len(poses), n * len(poses)
+    small = [p.character.path for p in poses if p.character.nodes < n or p.seed < 0 and p.character.nodes != n]
+    if small:
+        raise ValueError(f"{small[0]}: has no {n} nodes")
     width = width or max(p.character.degree for p in poses)
     coarse_width, D = 2 * width, row_width(features, len(poses[0].character.model_joints))
     patches = (PatchStruct * P)(*[PatchStruct(

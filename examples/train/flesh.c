@@ -11,6 +11,10 @@
               volume_change [F] F32 of the flesh, relative; crossings_before, crossings_after [F] I32 vertices of
               the skinned and of the solved mesh that pass through it elsewhere (not counting those at rest);
               stretch_max [F] F32 longest edge against rest; last_step_mm [F] F32; iterations [F] I32; seconds [F] F32
+    settled   the last step moved no lattice node by more than --bar. Measured on 8 poses of a range of motion (a body,
+              a suit) against the same poses taken to 0.05 mm: after a last step of 0.2 to 0.4 mm the surface is off
+              by 0.02 to 0.14 mm in the mean and 0.2 to 1.2 mm at 99 %; after 1.5 mm by 0.14 and 2.3; after 5 mm by
+              0.57 and 6.0. Hence 0.5
     repeats   the result does not depend on the number of threads: frames are solved in chains of --chain, each
               from plain skinning, and a chain is one thread's work */
 #include "flesh.h"
@@ -49,7 +53,7 @@ static double now(void)
 }
 
 /* ------------------------------------------------- options */
-static flesh_options options = {0.02, 0.46, 0.035, 4, 0.5, 6, 0.002, 0.35, 10, 0.001, 10, 64, 8, 48, 3, 12, 1, 1, 1.0, 0};
+static flesh_options options = {0.02, 0.46, 0.035, 4, 0.5, 6, 0.002, 0.35, 10, 0.001, 10, 40000, 64, 8, 240, 3, 12, 1, 1, 0.5, 0};
 static const char *character, *motion_path, *clip, *out_path;
 static int from = 0, to = 0, step = 1, threads = 0;
 
@@ -74,6 +78,7 @@ static const option table[] = {
    {"contact", &options.contact, 0, 0, 0, 1e6, "stiffness of contact; 0: none"},
    {"thick", &options.thick, 0, 0, 0, 1, "distance that touching skin keeps, m"},
    {"w", &options.w, 0, 0, 1e-3, 1e6, "elastic weight in the solver's first guess of the Hessian"},
+   {"cells", 0, &options.cells, 0, 100, 1000000, "where about more would be needed, cells are larger"},
    {"iters", 0, &options.iters, 0, 1, 100000, "most iterations a pose"},
    {"refresh", 0, &options.refresh, 0, 1, 100000, "iterations between searches for contact"},
    {"frozen", 0, &options.frozen, 0, 0, 100000, "further iterations with the contacts held, if unsettled"},
@@ -268,5 +273,7 @@ int main(int argc, char **argv)
    if (settled > 0)
       printf("settled poses: volume change at most %+.2f %%, crossing vertices %.1f skinned -> %.1f solved on average, largest edge stretch %.2f (frame %d)\n",
              100 * (double)j.worst_volume, j.before_all / settled, j.after_all / settled, (double)j.worst_stretch, j.worst_stretch_frame);
+   ex_motion_free(motion); /* the body goes with the process */
+   ex_scene_free(scene);
    return 0;
 }

@@ -33,6 +33,7 @@ typedef struct flesh_options {
    double contact;    /* stiffness of contact */
    double thick;      /* m that touching skin keeps apart */
    double w;          /* weight of the elastic Laplacian in L-BFGS's initial Hessian */
+   int cells;         /* where about more would be needed, cells are larger */
    int iters;         /* most iterations a pose */
    int refresh;       /* iterations between searches for contacts */
    int frozen;        /* further iterations, with the contacts held, for a pose that has not settled */

@@ -51,10 +51,20 @@ vec flesh_centre(const body *b, const cell *c) { return vadd(b->org, vmake((c->x
 static void surface_cells(body *b)
 {
    vec lo = b->pos[0], hi = lo;
-   double h = b->h = b->o.cell, size[3];
+   double h = b->o.cell, size[3], volume = 0, area = 0, guess;
    int P = b->parts, i, k, t, p;
    float *W = NEW(float, (size_t)b->vertices * (size_t)P), *w = NEW(float, P);
    for (i = 0; i < b->vertices; i++) { lo = vmin(lo, b->pos[i]); hi = vmax(hi, b->pos[i]); flesh_part_weights(b, i, W + (size_t)i * (size_t)P); }
+   for (t = 0; t < b->triangles; t++) {
+      vec A = b->pos[b->tri[t][0]], B = b->pos[b->tri[t][1]], C = b->pos[b->tri[t][2]];
+      volume += vdot(A, vcross(B, C)) / 6;
+      area += vlen(vcross(vsub(B, A), vsub(C, A))) / 2;
+   }
+   /* a suit on a tall man makes 20,000 cells; time and memory grow with their 7/3 power, so stout figures get
+      larger ones */
+   guess = fabs(volume) / (h * h * h) + area / (h * h);
+   if (guess > b->o.cells) { h *= cbrt(guess / b->o.cells); fprintf(stderr, "%s is large: cells of %.1f mm instead of %.1f (--cells)\n", b->scene->path, 1e3 * h, 1e3 * b->o.cell); }
+   b->h = h;
    b->org = vsub(lo, vmake(1.5 * h, 1.5 * h, 1.5 * h));
    size[0] = (hi.x - b->org.x) / h; size[1] = (hi.y - b->org.y) / h; size[2] = (hi.z - b->org.z) / h;
    if ((size[0] + 3) * (size[1] + 3) * (size[2] + 3) > 3e7) flesh_die("%s spans %.0f x %.0f x %.0f cells of %g m: raise --cell", b->scene->path, size[0], size[1], size[2], h);

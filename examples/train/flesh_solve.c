@@ -416,7 +416,7 @@ static void minimise(solver *sv, figures *f)
          if (o->verbose > 1) fprintf(stderr, "   it %d E %.9g step %.2g mm t %.3g contacts %d deepest %.1f mm\n", it, E, 1e3 * moved, t, sv->cons, 1e3 * sv->deepest);
          if (moved < 5e-5 && it > o->refresh) break; /* 0.05 mm */
       }
-      if (it + 1 >= total && !frozen && o->frozen > 0 && 1e3 * moved > o->bar) { /* not settled: hold the contacts */
+      if (it + 1 >= total && !frozen && o->frozen > 0 && 1e3 * moved > o->bar) { /* not settled */
          frozen = 1;
          used = top = 0;
          total = it + 1 + o->frozen;

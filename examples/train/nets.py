@@ -199,11 +199,11 @@ def norm_act(module, y, act):
 
 # ------------------------------------------------------------------------------------------------ layers
 class Linear(nn.Module):
-    """act(bn(W x + b))"""
+    """act(bn(W x + b)); with `whiten` (inputs, inputs) what is learnt is U, and W = U whiten"""
 
     def __init__(self, inputs, outputs, act, bn):
         super().__init__()
-        self.act = act
+        self.act, self.whiten = act, None
         self.weight = nn.Parameter(torch.empty(outputs, inputs))
         self.bias = nn.Parameter(torch.zeros(outputs))
         nn.init.xavier_normal_(self.weight)
@@ -211,7 +211,8 @@ class Linear(nn.Module):
             self.bn = BatchNorm(outputs)
 
     def forward(self, x, graph=None):
-        return norm_act(self, F.linear(x, self.weight, self.bias), self.act)
+        weight = self.weight if self.whiten is None else self.weight @ self.whiten
+        return norm_act(self, F.linear(x, weight, self.bias), self.act)
 
 
 class Lin(nn.Module):
@@ -512,6 +513,7 @@ class Baseline(Network):
 SIZES = {  # --arch NAME or NAME:SIZE
     "multiresgnet": (MultiResGNet, {}),
     "multiresgnet:lite": (MultiResGNet, dict(K=4, B=64, post=(128, 64))),
+    "multiresgnet:humanoid": (MultiResGNet, dict(pre=(128, 64), K=4, B=64, post=(160, 64))),  # the shipped model's
     "multiresgnet:tiny": (MultiResGNet, dict(pre=(64, 32), K=4, Fe=8, B=32, post=(96, 32), pool=8)),
     "densegats": (DenseGATs, {}),
     "mlp": (Baseline, dict(pre=(256, 512, 512, 128))),
@@ -525,7 +527,7 @@ def create(name, D, **changes):
     kind, sizes = SIZES[name]
     net = kind(D, **{**sizes, **changes})
     with torch.no_grad():
-        net.out.weight.mul_(0.05)  # start close to plain skinning
+        net.out.weight.zero_()  # the first step starts from plain skinning
     return net
 
 

@@ -5,8 +5,9 @@ shows     where most of the training poses come from: joint ranges -> rotations 
 run       python3 poses.py --ranges rom_ranges.json --skeleton any_motion.glb --count 400 --seed 1 --out rom_1.glb
 flow      ranges (JSON) + rest skeleton (GLB) --sample, reject crossings--> rotations (frames, joints) --> GLB
 
-The ranges name the left side and the middle; the right side is the mirror image, with its own random angles.
-All angles of a pose except the heading are scaled by one factor from 0.45 to 1, so that mild poses occur too.
+The ranges name the left side and the middle; the right side is the mirror image, with its own random angles or, for
+a share of --symmetric, with the left side's (squats, jumps, raised arms: what both sides do together is common).
+All angles of a pose except the heading are scaled by one factor from --scale, so that mild poses occur too.
 A pose whose limbs run through each other or through the trunk (distances between bone segments) is drawn again.
 Only numpy is needed. The same seed gives the same file.
 """
@@ -117,18 +118,19 @@ def crosses(body, rot):
     return False
 
 
-def draw(body, ranges, rng):
+def draw(body, ranges, rng, low, high, symmetric):
     while True:
-        scale, rot = rng.uniform(0.45, 1), np.tile(np.eye(3), (len(body.names), 1, 1))
+        scale, both, rot = rng.uniform(low, high), rng.random() < symmetric, np.tile(np.eye(3), (len(body.names), 1, 1))
         for joint, terms in ranges.items():
             for target in ([joint, joint.replace("Left", "Right")] if joint.startswith("Left") else [joint]):
                 if target not in body.id:
                     continue
+                if target == joint or not both:
+                    drawn = [rng.uniform(*term["degrees"]) for term in terms]
                 R = np.eye(3)
-                for term in terms:
-                    lo, hi = term["degrees"]
+                for term, degrees in zip(terms, drawn):
                     heading = target == "Hips" and term["axis"] == "y"
-                    angle = np.radians(rng.uniform(lo, hi)) * (1 if heading else scale)
+                    angle = np.radians(degrees) * (1 if heading else scale)
                     axis = body.axis(joint, term["axis"])
                     if target != joint:
                         axis = axis * [1, -1, -1]
@@ -175,12 +177,14 @@ def main():
     ap.add_argument("--ranges", required=True, help="joint ranges, JSON")
     ap.add_argument("--skeleton", required=True, help="a GLB with the skeleton, rest rotations identity")
     ap.add_argument("--count", type=int, default=200)
+    ap.add_argument("--scale", type=float, nargs=2, default=(0.45, 1), help="least and largest factor on a pose's angles")
+    ap.add_argument("--symmetric", type=float, default=0, help="share of poses that are the same on both sides")
     ap.add_argument("--seed", type=int, default=1)
     ap.add_argument("--out", required=True)
     a = ap.parse_args()
     body, ranges = Body(a.skeleton), json.load(open(a.ranges))["joints"]
     rng = np.random.default_rng(a.seed)
-    rots = np.stack([draw(body, ranges, rng) for _ in range(a.count)])
+    rots = np.stack([draw(body, ranges, rng, *a.scale, a.symmetric) for _ in range(a.count)])
     write_glb(a.out, body, rots)
     print(f"{a.out}: {a.count} poses, seed {a.seed}")
 

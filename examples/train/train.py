@@ -24,6 +24,10 @@ rings of a patch's border do not count in the loss, their neighbourhood being cu
 Pooling "rest": the pairs follow from the network's own weights on the rest pose, as the header finds them at bind; they
 are found again at the start of every epoch, so training follows what inference will do.
 
+Rows are nearly redundant: 65 distances to joints move together, and a bend shows only in small differences between them.
+So the first linear layer learns in whitened coordinates (W = U whiten, the inverse square root of the rows' covariance),
+where those differences are as large as anything else. The file holds W: nothing changes for the reader.
+
 Batch norm uses the batch's statistics first; for the last part of the run (--freeze) it uses the running ones, as
 inference does, while the weights go on learning.
 
@@ -56,6 +60,7 @@ import nets
 import safetensors_io as st
 
 RESTING = 0.0005  # metres: skinning is right there
+FLOOR = 1e-3      # least variance that whitening scales up, of normalised rows
 
 
 def arguments():
@@ -115,6 +120,7 @@ class Truth:
     def __init__(self, o):
         self.o, self.seen, self.characters, self.joints = o, set(), {}, None
         self.train, self.held = [], []
+        self.least = 0  # nodes of a patch, once that is settled
         self.hold_characters = set(filter(None, o.hold_characters.split(",")))
         self.hold_motions = set(filter(None, o.hold_motions.split(",")))
         self.cache = o.cache or os.path.join(o.truth, "cache")
@@ -137,6 +143,9 @@ class Truth:
             name, motion = os.path.basename(path)[:-len(".safetensors")].split("__", 1)
             clip = Clip(path, self.character(name), motion)
             if not len(clip.frames):
+                continue
+            if self.least and clip.character.nodes < self.least:
+                print(f"{path}: fewer nodes than a patch, left out", flush=True)
                 continue
             held = (name in self.hold_characters) + 2 * (motion in self.hold_motions)
             if held:
@@ -192,7 +201,7 @@ class Trainer:
         self.features, self.root = o.features.split(","), o.frame == "root"
         self.truth = Truth(o)
         self.width = max(c.degree for c in self.truth.characters.values())
-        self.nodes = min([o.nodes] + [c.nodes for c in self.truth.characters.values()])
+        self.nodes = self.truth.least = min([o.nodes] + [c.nodes for c in self.truth.characters.values()])
         self.rng = np.random.default_rng([o.seed, self.rank])
         torch.manual_seed(o.seed)
         D = dn.row_width(self.features, len(self.truth.joints))
@@ -206,6 +215,7 @@ class Trainer:
         self.average.load_state_dict(self.saved_average if hasattr(self, "saved_average") else self.net.state_dict())
         self.averaged = torch.cat([p.data.reshape(-1) for p in self.average.parameters()])
         self.view(self.average, self.averaged)
+        self.set_whiten(self.net, self.average)
 
     def say(self, *text):
         if self.rank == 0:
@@ -243,6 +253,19 @@ class Trainer:
             for t in self.net.state_dict().values():
                 dist.broadcast(t, 0)
         self.scale = np.stack([stats.mean.numpy(), 1 / stats.std.numpy()]).astype(np.float32)
+        if len(self.net.pre):
+            value, vector = np.linalg.eigh(np.cov((rows - rows.mean(0)) * self.scale[1], rowvar=False))
+            self.whiten = torch.from_numpy((vector / np.sqrt(value.clip(FLOOR)) @ vector.T).astype(np.float32))
+
+    whiten = None
+
+    def set_whiten(self, *nets):
+        if self.whiten is not None:
+            self.whiten = self.whiten.to(self.device)
+            if self.world > 1:
+                dist.broadcast(self.whiten, 0)
+            for net in nets:
+                net.pre[0].whiten = self.whiten
 
     def find_pairs(self, net, characters):
         """the contraction of each rest mesh under the network's present weights"""
@@ -440,11 +463,14 @@ class Trainer:
                                         f"{self.elapsed / 60:.0f} minutes, {self.step} steps, seed {o.seed}"}
         if self.net.pools:
             meta["deformnet.pooling"] = "rest"
-        st.save(o.out, {k: v.detach().cpu().numpy() for k, v in self.average.state_dict().items()}, meta)
+        tensors = {k: v.detach().cpu() for k, v in self.average.state_dict().items()}
+        if self.whiten is not None:
+            tensors["pre.0.weight"] = tensors["pre.0.weight"] @ self.whiten.cpu()
+        st.save(o.out, {k: v.numpy() for k, v in tensors.items()}, meta)
 
     def checkpoint(self):
         path = self.o.out + ".checkpoint"
-        torch.save({"arch": self.o.arch, "features": self.o.features, "net": self.net.state_dict(),
+        torch.save({"arch": self.o.arch, "features": self.o.features, "whiten": self.whiten, "net": self.net.state_dict(),
                     "average": self.average.state_dict(), "optimiser": self.optimiser.state_dict(), "step": self.step,
                     "elapsed": self.elapsed, "plateau": (self.best, self.waited, self.rate), "joints": self.truth.joints},
                    path + ".part")
@@ -458,6 +484,7 @@ class Trainer:
         if (c["arch"], c["features"], c["joints"]) != (self.o.arch, self.o.features, self.truth.joints):
             raise SystemExit(f"{path} is of {c['arch']} with {c['features']}: remove it, or write to another --out")
         self.net.load_state_dict(c["net"])  # copies into the pieces of self.flat
+        self.whiten = c["whiten"]
         self.optimiser.load_state_dict(c["optimiser"])
         self.step, self.elapsed, (self.best, self.waited, self.rate) = c["step"], c["elapsed"], c["plateau"]
         self.saved_average = c["average"]
