@@ -4,8 +4,8 @@
 
     WHAT       Skinning (LBS, DQS) bends a mesh by blending joint matrices: elbows pinch, wrists collapse,
                shoulders lose volume. This library runs a graph-attention network on the character's own
-               mesh each frame and moves every vertex to where an offline simulation would have put it.
-               One model serves characters of any topology. No dependency but a C compiler.
+               mesh each frame and moves every vertex towards where an offline simulation put it. One model
+               serves meshes of any topology that have its joints. No dependency but a C compiler.
 
     NOT HERE   training (examples/train), rendering, scene files (examples/common); the one file format
                is safetensors. No threads of its own: give it your job system (dn_parallel).
@@ -22,12 +22,13 @@
                dn_model *model = dn_model_load_file("humanoid.safetensors", NULL, &err);
                dn_rig_desc d = {0};                          // mesh, skin and skeleton: fill in your pointers
                dn_rig *rig = model ? dn_rig_create(model, &d, NULL, NULL, &err) : NULL;
-               if (!rig) puts(err.info);
-               void *scratch = aligned_block(dn_scratch_size(rig, 1));      // one per thread or job
+               if (!rig) return puts(err.info);                             // says what was found and expected
+               size_t size;                                                 // one scratch per thread or job
+               void *scratch = dn_scratch_create(rig, 1, NULL, &size, &err);
                each frame:
                   dn_pose pose = {0};  pose.palette = palette;  pose.strength = 1.0f;
                   dn_output out = {0}; out.positions = vertices; out.position_stride = sizeof(my_vertex);
-                  dn_deform(rig, &pose, &out, scratch, scratch_size, NULL, &err);
+                  dn_deform(rig, &pose, &out, scratch, size, NULL, &err);
 
     WORDS      V render vertices, N welded nodes, S joints (never "bones"), D row width, K heads,
                F features a head, B self channels; palette = joint transform times inverse bind
@@ -39,15 +40,15 @@
                >>base >>tensors >>mesh >>skin >>geodesic >>kernels >>attention >>pooling
                >>networks >>rig >>frame                                                (how it works)
     STUDENTS   follow the MAP through the *_ref functions; each cites its equation. Build with DN_NO_SIMD and
-               they are what runs.
+               they are what runs (of pooling's contraction still the fast form, tested equal to its _ref).
 */
 #ifndef DEFORMNET_H
 #define DEFORMNET_H
 
 /* ===================================================================================== >>config
    macro              set in          default       meaning
-   DEFORMNET_STATIC   every file      off           all functions static
-   DN_API             every file      extern        linkage of the public functions (DLL export and the like)
+   DEFORMNET_STATIC   every file      off           all functions static: each file brings its own implementation
+   DN_API             every file      extern        linkage of the public functions (DLL export; replaces extern "C" too)
    DN_ASSERT(x)       implementation  assert(x)     caller's mistakes only, never bad files
    DN_MALLOC DN_FREE  implementation  malloc/free   both or neither; dn_allocator gives per-object control
    DN_SQRTF DN_FABSF DN_SINF DN_COSF DN_SQRT DN_FABS  implementation  libm   all six or none
@@ -92,7 +93,7 @@
 typedef enum dn_result { DN_RESULTS(DN__ENUM) DN_RESULT_COUNT } dn_result;
 #undef DN__ENUM
 
-typedef struct dn_error { /* the caller's; pass NULL if you do not care; written only when a call fails */
+typedef struct dn_error { /* the caller's; pass NULL if you do not care; written only when a call does not give DN_OK */
    const char *where;     /* static text: "model header", "bind", ... */
    dn_result code;        /* what the function also returned */
    size_t offset;         /* byte in the file, vertex, triangle or joint index; SIZE_MAX if none */
@@ -100,8 +101,8 @@ typedef struct dn_error { /* the caller's; pass NULL if you do not care; written
 } dn_error;
 
 typedef struct dn_allocator {                             /* zero-filled or NULL: DN_MALLOC / DN_FREE */
-   void *(*alloc)(void *user, size_t size, size_t align); /* NULL result means DN_NO_MEMORY, never abort */
-   void (*free)(void *user, void *ptr, size_t size);      /* size as given to alloc */
+   void *(*alloc)(void *user, size_t size, size_t align); /* align is 64; NULL or a misaligned block: DN_NO_MEMORY */
+   void (*free)(void *user, void *ptr, size_t size);      /* size as given to alloc; NULL: nothing is given back */
    void *user;                                            /* stored with the object: must outlive it */
 } dn_allocator;
 
@@ -115,7 +116,7 @@ typedef struct dn_parallel { /* NULL, or run == NULL: the library loops by itsel
    unsigned workers; /* scratch is sized for this many; 0 counts as 1 */
 } dn_parallel;
 
-typedef struct dn_progress { /* NULL, or step == NULL: none */
+typedef struct dn_progress { /* NULL, or step == NULL: none. Called on the thread that called the library, between steps */
    int (*step)(void *user, const char *stage, float done); /* done in [0,1]; non-zero return cancels */
    void *user;
 } dn_progress;
@@ -146,11 +147,11 @@ typedef struct dn_model_info { /* strings and arrays belong to the model */
    size_t row_width;                /* D */
    size_t feature_count;
    const dn_feature *features;      /* in row order */
-   size_t joints;                   /* S, columns of geodesic and distance; 0: neither feature, no names */
+   size_t joints;                   /* S: columns of geodesic and distance, or names; 0: none of the three */
    const char *const *joint_names;  /* (S) or NULL: joints then match by index */
    int root_frame;                  /* deformnet.frame == "root" */
    dn_pooling pooling;
-   float unit;                      /* metres per unit of the training data */
+   float unit;                      /* metres per unit of the training data; not applied: pass the mesh in its units */
    const char *licence, *trained_on; /* "" when the file has none */
    size_t parameters;               /* numbers in the tensors used */
    size_t bytes;                    /* memory the model occupies */
@@ -168,17 +169,20 @@ DN_API dn_model *dn_model_load(const void *file, size_t size, const dn_allocator
 /*  the same from a path; DN_IO when the file cannot be opened or read */
 DN_API dn_model *dn_model_load_file(const char *path, const dn_allocator *allocator, dn_error *err);
 #endif
-DN_API void dn_model_free(dn_model *model); /* NULL is allowed; models made by dn_model_init need no free */
+/*  after the last rig that uses it; NULL is allowed; does nothing to a model made by dn_model_init, whose memory is yours */
+DN_API void dn_model_free(dn_model *model);
 
 /*  dn_model_size, dn_model_init - the same without an allocator, from an opened file (dn_tensors_open, >>parts)
 
     bytes      kept by the model; scratch is needed during dn_model_init only; both exact
-    memory     64-byte aligned, must outlive the model; *model lies inside it. The file may go afterwards
-    errors     as dn_model_load; DN_TOO_SMALL names both sizes */
+    memory     both 64-byte aligned; memory must outlive the model, *model lies inside it. The file may go afterwards
+    errors     as dn_model_load; DN_TOO_SMALL names both sizes; *model is NULL then
+    threads    re-entrant */
 typedef struct dn_tensors dn_tensors;
 DN_API dn_result dn_model_size(const dn_tensors *file, size_t *bytes, size_t *scratch, dn_error *err);
 DN_API dn_result dn_model_init(const dn_tensors *file, void *memory, size_t bytes, void *scratch, size_t scratch_bytes,
                                dn_model **model, dn_error *err);
+/*  fills *info; what it points to lives as long as the model. Re-entrant, cannot fail */
 DN_API void dn_model_describe(const dn_model *model, dn_model_info *info);
 
 /* ===================================================================================== >>bind
@@ -187,7 +191,7 @@ DN_API void dn_model_describe(const dn_model *model, dn_model_info *info);
 typedef struct dn_rig dn_rig;
 
 typedef struct dn_skin_set { /* one JOINTS_n / WEIGHTS_n pair of any width */
-   size_t influences;        /* a vertex, 4 in glTF */
+   size_t influences;        /* per vertex, 4 in glTF; those of weight 0 cost nothing */
    const void *joints;
    dn_type joint_type;       /* DN_U8, DN_U16, DN_U32 */
    size_t joint_stride;      /* bytes from vertex to vertex; 0: tightly packed */
@@ -198,10 +202,10 @@ typedef struct dn_skin_set { /* one JOINTS_n / WEIGHTS_n pair of any width */
 
 typedef struct dn_mesh {
    size_t vertices;          /* V, at least 1 */
-   const float *positions;   /* rest pose, model space, finite */
+   const float *positions;   /* (V,3) rest pose, model space, the model's unit (metres), finite */
    size_t position_stride;   /* bytes; 0: 12 */
    size_t triangles;         /* T, may be 0 */
-   const void *indices;      /* (T,3) */
+   const void *indices;      /* (T,3), packed, each below V */
    dn_type index_type;       /* DN_U16, DN_U32 */
    size_t skin_sets;         /* at least 1 */
    const dn_skin_set *skin;
@@ -211,7 +215,7 @@ typedef struct dn_skeleton {
    size_t joints;             /* S of the character */
    const char *const *names;  /* (S) or NULL; needed when the model names its joints */
    const int32_t *parents;    /* (S), -1 for roots, or NULL; only used to fold joints the model lacks */
-   const float *inverse_bind; /* (S) matrices, or NULL for identity */
+   const float *inverse_bind; /* (S) matrices, or NULL for identity; gives the joints' rest positions */
    dn_matrix matrix;          /* their layout */
 } dn_skeleton;
 
@@ -229,7 +233,7 @@ typedef struct dn_rig_desc {   /* borrowed during bind only */
    const dn_progress *progress;
 } dn_rig_desc;
 
-typedef struct dn_report { /* what bind found; nothing here is an error */
+typedef struct dn_report { /* what bind found, written when it succeeds; nothing here is an error */
    size_t vertices, nodes, edges, components;
    size_t isolated_nodes;       /* without any edge */
    size_t seams_welded;         /* vertices that joined an earlier one */
@@ -254,18 +258,22 @@ typedef struct dn_report { /* what bind found; nothing here is an error */
                ignored; a named joint that the skeleton lacks is DN_MISSING_JOINT and listed; extra joints
                still skin, and the network sees their nearest named ancestor (or joint 0) in their place.
                Without names the counts must be equal
-    errors     NULL; joint index out of range, non-finite position or weight, triangle index out of range, no
-               vertices: err->offset and info name the element
-    cost       geodesic distances dominate: S times the voxels; progress is reported there */
+    errors     NULL; DN_BAD_MESH, DN_BAD_SKIN (joint index out of range, non-finite position or weight, triangle
+               index out of range, no vertices): err->offset and info name the element; DN_BAD_VALUE, DN_BAD_SHAPE
+               (a field of desc), DN_MISSING_JOINT, DN_CANCELLED, DN_NO_MEMORY: nothing is kept
+    cost       geodesic distances dominate: S times the voxels; progress is reported there
+    threads    re-entrant; desc->parallel may split the geodesic distances and the rest-pose network */
 DN_API dn_rig *dn_rig_create(const dn_model *model, const dn_rig_desc *desc, const dn_allocator *allocator,
                              dn_report *report, dn_error *err);
-DN_API void dn_rig_free(dn_rig *rig); /* NULL is allowed */
+/*  after the last frame that uses it; NULL is allowed; does nothing to a rig made by dn_rig_init, whose memory is yours */
+DN_API void dn_rig_free(dn_rig *rig);
 
 /*  dn_rig_size, dn_rig_init - the same without an allocator
 
     bytes      kept by the rig, an upper bound from the counts and the bounding box
-    scratch    needed during dn_rig_init only
-    memory     both 64-byte aligned */
+    scratch    needed during dn_rig_init only, with the same desc and model
+    memory     both 64-byte aligned; memory must outlive the rig, *rig lies inside it
+    errors     as dn_rig_create; DN_TOO_SMALL names both sizes; *rig is NULL then */
 DN_API dn_result dn_rig_size(const dn_model *model, const dn_rig_desc *desc, size_t *bytes, size_t *scratch,
                              dn_error *err);
 DN_API dn_result dn_rig_init(const dn_model *model, const dn_rig_desc *desc, void *memory, size_t bytes,
@@ -293,6 +301,7 @@ typedef struct dn_rig_view {       /* what a rig holds, for tools, tests and tra
    const uint32_t *joint_map;      /* (S_model) the character's index of each of the model's joints */
    const float *geodesic;          /* (N,S_model) metres, or NULL when the model does not use it */
 } dn_rig_view;
+/*  fills *view; what it points to lives as long as the rig. Re-entrant, cannot fail */
 DN_API void dn_rig_describe(const dn_rig *rig, dn_rig_view *view);
 
 /* ===================================================================================== >>deform */
@@ -300,18 +309,20 @@ typedef struct dn_pose {
    const float *palette;      /* (S_character) matrices in the character's joint order, model space */
    dn_matrix matrix;          /* their layout */
    float strength;            /* 0 plain skinning .. 1 the full displacement; clamped. Zero-filled means 0! */
-   const float *mask;         /* (V) factor per vertex in [0,1], or NULL for all 1 */
-   const float *skinned;      /* (V,3) positions your engine skinned already, or NULL: skinned here */
+   const float *mask;         /* (V) factor per vertex, clamped to [0,1], or NULL for all 1 */
+   const float *skinned;      /* (V,3) positions your engine skinned already with this palette, model space, or NULL:
+                                 skinned here; may be the same memory as out->positions */
    size_t skinned_stride;     /* bytes; 0: 12 */
 } dn_pose;
 
-typedef struct dn_output {    /* any pointer may be NULL; strides in bytes, 0: 12 */
+typedef struct dn_output {    /* any pointer may be NULL, else (V,3) written in full; strides in bytes, 0: 12 */
    float *positions;          size_t position_stride;     /* refined, model space */
    float *normals;            size_t normal_stride;       /* of the refined mesh, unit or (0,0,0) */
    float *displacement;       size_t displacement_stride; /* refined - skinned, posed space */
    float *rest_delta;         size_t rest_delta_stride;   /* the same, to be added before skinning: GPU
-                                                             skinning or a morph target then gives positions */
-   float bounds_min[3], bounds_max[3]; /* written: box of the refined positions */
+                                                             skinning or a morph target then gives positions; 0
+                                                             where a vertex's blended matrix is flat */
+   float bounds_min[3], bounds_max[3]; /* written: box of the refined positions, NaN left out */
    size_t fallback_nodes;              /* written: nodes whose network output was not finite */
 } dn_output;
 
@@ -322,30 +333,46 @@ typedef struct dn_output {    /* any pointer may be NULL; strides in bytes, 0: 1
     scratch    dn_scratch_size(rig, workers) bytes, 64-byte aligned, contents irrelevant before and after;
                one per thread or job
     parallel   NULL: this thread only. workers must not exceed what scratch was sized for
-    returns    DN_OK, or DN_NOT_FINITE when out->fallback_nodes nodes (or a palette that is not finite)
-               made the affected vertices fall back to plain skinning: the output is written in full either way.
+    returns    DN_OK, or DN_NOT_FINITE when out->fallback_nodes nodes stayed plainly skinned or the palette is not
+               finite: the output is written in full either way, and *err says which.
                DN_TOO_SMALL when scratch is: nothing is written
     equation   v_i = p_i + strength mask_i Delta_node(i), p = LBS (T 2.1) or DQS (T 2.2)
     threads    re-entrant; no allocation, no I/O, no globals; bits independent of parallel */
 DN_API dn_result dn_deform(const dn_rig *rig, const dn_pose *pose, dn_output *out, void *scratch,
                            size_t scratch_bytes, const dn_parallel *parallel, dn_error *err);
+/*  bytes of scratch for one frame at a time with up to that many workers (0 counts as 1); SIZE_MAX: does not fit */
 DN_API size_t dn_scratch_size(const dn_rig *rig, unsigned workers);
+/*  dn_scratch_create - the same as an allocated block, 64-byte aligned
 
-/*  The four stages of dn_deform, for engines that time or schedule them apart. Call each once a frame, in this order,
-    with the same scratch: each works in place on what the one before left there. dn_deform is exactly these four. */
+    bytes      written: dn_scratch_size(rig, workers), to be given to dn_deform and to dn_scratch_free
+    allocator  NULL for DN_MALLOC; dn_scratch_free takes the same one
+    errors     NULL and DN_NO_MEMORY, naming the size */
+DN_API void *dn_scratch_create(const dn_rig *rig, unsigned workers, const dn_allocator *allocator, size_t *bytes, dn_error *err);
+DN_API void dn_scratch_free(void *scratch, size_t bytes, const dn_allocator *allocator); /* NULL scratch is allowed */
+
 typedef struct dn_probe { /* sees every block's output by tensor name: "pre.0" (N,64); slow, for tests */
    void (*tap)(void *user, const char *name, const float *rows, size_t first /* node */, size_t count, size_t width,
                size_t row_stride); /* the layers at the end come in tiles of nodes */
    void (*pool)(void *user, const char *name, const uint32_t *members /* (M,2) */, const float *score, size_t count);
    void *user;
 } dn_probe;
+/*  The four stages of dn_deform, for engines that time or schedule them apart. Call each once a frame, in this order,
+    with the same rig, pose, scratch and number of workers: each works in place on what the one before left there.
+    dn_deform is exactly these four.
+
+    skin       palette -> skinned vertices (T 2.1, T 2.2); the one that checks scratch_bytes: go on only after DN_OK
+    rows       -> rows (N,D) of the descriptors, in the network's frame (spec section 3)
+    network    -> displacement (N,3) in model space; nodes that are not finite get 0. probe: NULL, or it sees the
+               blocks, called on this thread
+    output     -> the caller's arrays; returns as dn_deform
+    threads    re-entrant, as dn_deform */
 DN_API dn_result dn_stage_skin(const dn_rig *rig, const dn_pose *pose, void *scratch, size_t scratch_bytes,
                                const dn_parallel *parallel, dn_error *err);
 DN_API void dn_stage_rows(const dn_rig *rig, void *scratch, const dn_parallel *parallel);
 DN_API void dn_stage_network(const dn_rig *rig, void *scratch, const dn_parallel *parallel, const dn_probe *probe);
 DN_API dn_result dn_stage_output(const dn_rig *rig, const dn_pose *pose, dn_output *out, void *scratch,
                                  const dn_parallel *parallel, dn_error *err);
-/* what the stages left in scratch, per node; valid until the next call that uses the scratch */
+/*  what the stages left in scratch, per node; 64-byte aligned, valid until the next call that uses the scratch */
 DN_API const float *dn_scratch_coarse(const dn_rig *rig, const void *scratch);       /* (N,3) skinned */
 DN_API const float *dn_scratch_rows(const dn_rig *rig, const void *scratch);         /* (N,D); dn_stage_network normalises them */
 DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scratch); /* (N,3) posed, model space */
@@ -354,8 +381,10 @@ DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scrat
    The networks' building blocks, to compose your own. A layer is packed once into memory you give (weights
    in panels of DN_PANEL columns, batch norm and bias folded in) and then only read. Rows x and y have a stride
    in floats, so that several blocks can share one wide row (a dense module concatenates in place).
-   All of them: re-entrant, no allocation; out must not overlap in unless said; bits independent of parallel.
-   Each has a plain *_ref twin, the specification, within 1e-5 + 1e-4 |x| of it. */
+   All of them: re-entrant, no allocation, memory and scratch 64-byte aligned; out must not overlap in unless said;
+   bits independent of parallel; sizes that do not match are the caller's mistake, asserted where they can be seen.
+   dn_linear, dn_gat and dn_pool_contract have a plain *_ref twin, the specification: the first two stay within
+   1e-5 + 1e-4 |x| of it, the third equals it. The others are plain loops over those. */
 #define DN_PANEL 16
 
 /* Which text runs. Packing a layer stores the fastest one that works here in its `kernel`; tests and benchmarks
@@ -383,6 +412,7 @@ DN_API size_t dn_linear_size(size_t in, size_t out);
 /*  weight (out,in) row-major; bias (out) or NULL; bn over out channels or NULL; memory 64-byte aligned */
 DN_API void dn_linear_pack(dn_linear *layer, size_t in, size_t out, const float *weight, const float *bias,
                            const dn_batchnorm *bn, dn_activation activation, void *memory);
+/*  x (rows,in) with x_stride >= in -> y (rows,out) with y_stride >= out; strides in floats; y must not overlap x */
 DN_API void dn_linear_ref(const dn_linear *layer, const float *x, size_t x_stride, size_t rows, float *y, size_t y_stride);
 DN_API void dn_linear_run(const dn_linear *layer, const float *x, size_t x_stride, size_t rows, float *y, size_t y_stride,
                           const dn_parallel *parallel);
@@ -402,12 +432,15 @@ typedef struct dn_gat {
    const uint32_t *head;    /* (K*F, rounded up to 16) the head of each column of z */
    dn_kernel kernel;
 } dn_gat;
+/*  bytes for dn_gat_pack; 0 when in, heads or features is 0 or a product does not fit */
 DN_API size_t dn_gat_size(size_t in, size_t heads, size_t features, size_t self);
-/*  lin (K*F,in), att_dst (K,F), att_src (K,F), self_weight (B,in) or NULL; bn over K*F+B channels or NULL */
+/*  any activation but softmax; memory of dn_gat_size bytes, kept by the block
+    lin (K*F,in), att_dst (K,F), att_src (K,F), self_weight (B,in) or NULL; bn over K*F+B channels or NULL */
 DN_API void dn_gat_pack(dn_gat *block, size_t in, size_t heads, size_t features, size_t self, const float *lin,
                         const float *att_dst, const float *att_src, const float *self_weight, const dn_batchnorm *bn,
                         dn_activation activation, void *memory);
 DN_API size_t dn_gat_scratch(const dn_gat *block, size_t nodes); /* bytes, 64-byte aligned */
+/*  v (N,in) -> y (N,K*F+B), strides in floats; scratch of dn_gat_scratch bytes, garbage afterwards */
 DN_API void dn_gat_ref(const dn_gat *block, const dn_graph *g, const float *v, size_t v_stride, float *y, size_t y_stride,
                        void *scratch);
 /*  v and y may be columns of one row as long as they do not overlap */
@@ -443,11 +476,13 @@ typedef struct dn_clusters {  /* a contraction of a graph of N nodes; arrays of 
    uint32_t *coarse_first;    /* (N+1) */
    uint32_t *coarse_next;     /* (2E) */
 } dn_clusters;
+/*  bytes for dn_pool_pack; 0 when a size is 0 or does not fit */
 DN_API size_t dn_pool_size(size_t in, size_t features);
+/*  lin (F,in), att_dst (F), att_src (F); memory is kept by the pool */
 DN_API void dn_pool_pack(dn_pool *pool, size_t in, size_t features, const float *lin, const float *att_dst,
                          const float *att_src, float offset, void *memory);
 DN_API size_t dn_pool_scratch(size_t nodes, size_t neighbours /* 2E */); /* bytes for the calls below */
-/*  scores (2E), one per entry of g->next */
+/*  v (N,in) -> scores (2E), one per entry of g->next; those of a node sum to one                          T 3.10 */
 DN_API void dn_pool_scores(const dn_pool *pool, const dn_graph *g, const float *v, size_t v_stride, float *scores,
                            void *scratch, const dn_parallel *parallel);
 /*  the greedy contraction and the coarse graph, from the scores */
@@ -464,7 +499,9 @@ DN_API void dn_pool_scatter(const dn_pool *pool, const dn_clusters *c, const flo
                             size_t nodes, float *v, size_t v_stride, const dn_parallel *parallel);
 
 /* ===================================================================================== >>parts
-   What bind and deform are made of, callable on its own. */
+   What bind and deform are made of, callable on its own. All re-entrant, without allocation; arrays are packed;
+   scratch is 64-byte aligned, its contents irrelevant before and garbage after. Inputs are trusted here (finite
+   positions, indices below their counts): bind is what checks them. A size query that gives SIZE_MAX does not fit. */
 
 /*  dn_weld - vertices at one place with like weights become one node (spec section 1)
 
@@ -494,9 +531,10 @@ DN_API void dn_orthonormalise(const float m[9], float rotation[9]);
     before children -> model-space transforms (S,12) row-major 3x4 */
 DN_API void dn_forward_kinematics(const int32_t *parents, const float *offsets, const float *rotations, size_t joints,
                                   float *transforms);
-/*  palette entry = transform * inverse bind (T 2.1); all 3x4 row-major */
+/*  palette entry = transform * inverse bind (T 2.1); all (S,12), 3x4 row-major; palette may be transforms */
 DN_API void dn_palette(const float *transforms, const float *inverse_bind, size_t joints, float *palette);
-/*  LBS (T 2.1) and DQS (T 2.2) of `count` points; palette (S,12) row-major 3x4 */
+/*  LBS (T 2.1) and DQS (T 2.2) of `count` points: rest (count,3), joint and weight (count,influences), each joint below
+    the palette's S; palette (S,12) row-major 3x4 -> out (count,3), which may be rest */
 DN_API void dn_lbs(const float *rest, const uint32_t *joint, const float *weight, size_t influences, size_t count,
                    const float *palette, float *out);
 DN_API void dn_dqs(const float *rest, const uint32_t *joint, const float *weight, size_t influences, size_t count,
@@ -521,7 +559,9 @@ DN_API dn_result dn_geodesic(const float *positions, size_t nodes, const uint32_
     w = 1 / ((1-a) d + a d^2)^2, a in [0,1], d in longest sides of the bounding box, the largest `influences` kept
     and normalised, largest first
 
-    parents    (S); joint (N,influences), weight (N,influences) are written
+    positions, triangle, joints, resolution, progress and results as dn_geodesic; d of the falloff is the distance
+    parents    (S), any order, -1 for roots
+    written    joint (N,influences), weight (N,influences), each row summing to one; entries beyond S: joint 0, weight 0
     scratch    dn_voxel_bind_scratch bytes */
 DN_API size_t dn_voxel_bind_scratch(const float *positions, size_t nodes, size_t triangles, size_t joint_count,
                                     unsigned resolution, unsigned workers);
@@ -543,13 +583,14 @@ enum { DN_ST_F32, DN_ST_F16, DN_ST_BF16, DN_ST_I32, DN_ST_OTHER /* legal, but no
 /*  bytes that dn_tensors_open needs, at most about three times the header: one pass that checks its syntax, types,
     shapes and ranges; dn_tensors_open adds what needs a table, names that repeat and ranges that overlap or leave holes */
 DN_API dn_result dn_tensors_size(const void *file, size_t size, size_t *bytes, dn_error *err);
-/*  file is borrowed and must outlive the view; memory 16-byte aligned */
+/*  file is borrowed and must outlive the view, which is read only and re-entrant; memory 16-byte aligned, of the bytes
+    that dn_tensors_size told, *tensors lies inside it; on any error *tensors is NULL and *err says what was found where */
 DN_API dn_result dn_tensors_open(const void *file, size_t size, void *memory, size_t bytes, dn_tensors **tensors, dn_error *err);
 DN_API size_t dn_tensors_count(const dn_tensors *t);
 DN_API const dn_tensor *dn_tensors_at(const dn_tensors *t, size_t index);
 DN_API const dn_tensor *dn_tensors_find(const dn_tensors *t, const char *name); /* NULL if absent; expected O(1) */
 DN_API const char *dn_tensors_meta(const dn_tensors *t, const char *key);       /* NULL if absent */
-/*  convert `count` elements from element `from` on; F32, F16, BF16, I32 -> float */
+/*  convert `count` elements from element `from` on, all of them below t->count; F32, F16, BF16, I32 -> out (count) */
 DN_API void dn_tensor_floats(const dn_tensor *t, size_t from, size_t count, float *out);
 DN_API void dn_tensor_ints(const dn_tensor *t, size_t from, size_t count, int32_t *out); /* I32 only */
 
@@ -645,7 +686,12 @@ static size_t dn__gauge(const dn__arena *a) { return a->used; }
 static void *dn__alloc(const dn_allocator *al, size_t size)
 {
    if (size == 0 || size > SIZE_MAX / 2) return NULL;
-   if (al && al->alloc) return al->alloc(al->user, size, DN__ALIGN);
+   if (al && al->alloc) {
+      void *p = al->alloc(al->user, size, DN__ALIGN);
+      if (!p || ((uintptr_t)p & (DN__ALIGN - 1)) == 0) return p;
+      if (al->free) (al->free)(al->user, p, size); /* misaligned: as good as none */
+      return NULL;
+   }
    {
       unsigned char *raw = (unsigned char *)DN_MALLOC(size + DN__ALIGN + sizeof(void *)), *p;
       if (!raw) return NULL;
@@ -659,7 +705,7 @@ static void dn__release(const dn_allocator *al, void *ptr, size_t size)
 {
    if (!ptr) return;
    if (al && al->alloc) {
-      if (al->free) al->free(al->user, ptr, size);
+      if (al->free) (al->free)(al->user, ptr, size); /* in brackets: debug heaps make free(p) a macro */
    } else {
       void *raw;
       memcpy(&raw, (unsigned char *)ptr - sizeof(void *), sizeof(void *));
@@ -674,14 +720,15 @@ static void dn__put(dn__text *t, const char *s)
    while (*s && t->at < t->end) *t->at++ = *s++;
    *t->at = 0;
 }
-static void dn__put_size(dn__text *t, size_t v)
+static void dn__put_u64(dn__text *t, uint64_t v)
 {
    char digits[24];
    int n = 23;
    digits[n] = 0;
-   do digits[--n] = (char)('0' + v % 10), v /= 10; while (v);
+   do digits[--n] = (char)('0' + (int)(v % 10)), v /= 10; while (v);
    dn__put(t, digits + n);
 }
+static void dn__put_size(dn__text *t, size_t v) { dn__put_u64(t, v); }
 static dn__text dn__text_of(char *buffer, size_t size)
 {
    dn__text t;
@@ -787,14 +834,6 @@ static void dn__put_name(dn__text *t, const unsigned char *name, size_t size)
    dn__put(t, part);
    dn__put(t, n < size ? "...'" : "'");
 }
-static void dn__put_u64(dn__text *t, uint64_t v)
-{
-   char digits[24];
-   int n = 23;
-   digits[n] = 0;
-   do digits[--n] = (char)('0' + (int)(v % 10)), v /= 10; while (v);
-   dn__put(t, digits + n);
-}
 /* "tensor 'local.0.att_src': " when it is known; the caller goes on writing, then calls dn__json_end */
 static dn__text dn__json_begin(const dn__json *j, char *line, size_t size)
 {
@@ -886,7 +925,7 @@ static size_t dn__json_escape(dn__json *j, unsigned char *b)
 {
    size_t start = j->at++;
    unsigned c = j->at < j->end ? j->file[j->at] : 0u;
-   uint32_t u, v;
+   uint32_t u = 0, v = 0;
    j->at++;
    switch (c) {
    case '"': case '\\': case '/': b[0] = (unsigned char)c; return 1;
@@ -1449,7 +1488,8 @@ DN_API void dn_tensor_ints(const dn_tensor *t, size_t from, size_t count, int32_
 /* ===================================================================================== >>mesh
    in       render vertices (V), triangles (T,3)     out   nodes (N), one-rings (CSR), corners (CSR), normals (N,3)
    touches  the scratch passed in, nothing else: no allocation, no I/O, no statics
-   spec     section 1 decides; all of it is expected linear time, hubs and fans included
+   spec     section 1 decides; all of it is expected linear time, hubs and fans included. One exception: vertices heaped
+            on one place with weights all apart are compared pair by pair
    read     dn_weld, then dn_graph_build */
 
 /* --- names: what two rigs of one character agree on is the part after the exporter's prefix */
@@ -1460,11 +1500,7 @@ static const char *dn__name_core(const char *name) /* "mixamorig:Hips", "Armatur
       if (*name == ':' || *name == '|') core = name + 1;
    return core;
 }
-static int dn__name_equal(const char *a, const char *b) /* whole strings; take the cores first */
-{
-   for (; *a && *a == *b; a++, b++) {}
-   return *a == *b;
-}
+static int dn__name_equal(const char *a, const char *b) { return strcmp(a, b) == 0; } /* take the cores first */
 
 /* --- weld. A hash grid from place to the nodes there. With distance 0 a "cell" is one exact position; else cells are
    a hair wider than the distance, so that everything in reach lies in the 27 cells around a vertex. */
@@ -2334,7 +2370,7 @@ static float dn__apart(const float a[3], const float b[3])
 }
 static size_t dn__clamp_cell(double x, size_t n) /* into 1 .. n-2: never the free layer */
 {
-   return x >= 1.0 ? dn__min((size_t)dn__floor(x), n - 2) : 1;
+   return x >= 1.0 ? (x < (double)(n - 2) ? (size_t)x : n - 2) : 1; /* NaN: 1 */
 }
 
 /* --- solid cells. A cell is on the surface when the closed box meets the triangle: separating axes, of which the
@@ -2967,6 +3003,7 @@ static dn_result dn__geodesic_all(dn__voxels *v, dn__arena *arena, dn__geodesic_
    dn__voxelise(v, job->mesh.positions, job->mesh.nodes, job->mesh.triangle, job->mesh.triangles);
    for (w = 0; w < workers; w++) job->front[w] = dn__front_layout(arena, v->count, v->blocks_used);
    if (arena->used > arena->size) return DN_TOO_SMALL;
+   if (job->mesh.nodes == 0) return DN_OK; /* no solid, nothing to measure */
    job->v = v;
    while (done < job->joint_count) {
       size_t count = dn__min(batch, job->joint_count - done);
@@ -3273,8 +3310,8 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
 #endif
 #define DN__GRAIN ((size_t)168) /* rows a range of the parallel loop: a multiple of every tile height below */
 
-/* Each text offers these. A tile is `rows` rows of x times one or two panels; every y is one chain of additions over
-   c = 0 .. in-1, whatever the tile, so results do not depend on how rows are grouped. */
+/* Each text offers these. A tile is `rows` rows of x times one or two panels; every y adds its
+   terms c = 0 .. in-1 in one order, whatever the tile, so results do not depend on how rows are grouped. */
 typedef struct dn__kernel {
    size_t rows, panels; /* of its tile */
    /* y (rows, 16 panels) = x (rows,in) w + bias; w: panels of (in,16) */
@@ -3641,12 +3678,14 @@ static void dn__activate_f4(float *y, size_t y_stride, size_t rows, size_t colum
       for (c = 0; c < columns; c += 4)
          dn__f4_store(y + r * y_stride + c, dn__act_f4(dn__f4_load(y + r * y_stride + c), activation));
 }
+/* Without a fused multiply-add every term rounds twice, so DN__RUN terms at a time are added up and then the sums: the
+   last layers of the deep networks (504 terms) have little accuracy to spare. */
+#define DN__RUN ((size_t)64)
 static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float *w, const float *bias, size_t panels,
                         float *y, size_t y_stride)
 {
-   dn__f4 w0 = dn__f4_load(bias), w1 = dn__f4_load(bias + 4), w2 = dn__f4_load(bias + 8), w3 = dn__f4_load(bias + 12);
-   dn__f4 v;
-   size_t n;
+   dn__f4 w0, w1, w2, w3, v;
+   size_t n, first, last;
    (void)panels; /* always 1 */
 #define DN__START(r) dn__f4 a##r = w0, b##r = w1, c##r = w2, d##r = w3;
 #define DN__STEP(r)                                                                                          \
@@ -3656,13 +3695,18 @@ static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float 
    c##r = dn__f4_fma(v, w2, c##r);                                                                           \
    d##r = dn__f4_fma(v, w3, d##r);
 #define DN__STORE(r)                                                                                         \
-   dn__f4_store(y + r * y_stride, a##r);                                                                     \
-   dn__f4_store(y + r * y_stride + 4, b##r);                                                                 \
-   dn__f4_store(y + r * y_stride + 8, c##r);                                                                 \
-   dn__f4_store(y + r * y_stride + 12, d##r);
-   {
+   dn__f4_store(y + r * y_stride, first ? dn__f4_add(dn__f4_load(y + r * y_stride), a##r) : a##r);           \
+   dn__f4_store(y + r * y_stride + 4, first ? dn__f4_add(dn__f4_load(y + r * y_stride + 4), b##r) : b##r);   \
+   dn__f4_store(y + r * y_stride + 8, first ? dn__f4_add(dn__f4_load(y + r * y_stride + 8), c##r) : c##r);   \
+   dn__f4_store(y + r * y_stride + 12, first ? dn__f4_add(dn__f4_load(y + r * y_stride + 12), d##r) : d##r);
+   for (first = 0; first < in; first = last) {
+      last = dn__min(in, first + DN__RUN);
+      w0 = first ? dn__f4_all(0.0f) : dn__f4_load(bias);
+      w1 = first ? dn__f4_all(0.0f) : dn__f4_load(bias + 4);
+      w2 = first ? dn__f4_all(0.0f) : dn__f4_load(bias + 8);
+      w3 = first ? dn__f4_all(0.0f) : dn__f4_load(bias + 12);
       DN__F4_EACH(DN__START)
-      for (n = 0; n < in; n++, w += DN_PANEL) {
+      for (n = first; n < last; n++, w += DN_PANEL) {
          w0 = dn__f4_load(w);
          w1 = dn__f4_load(w + 4);
          w2 = dn__f4_load(w + 8);
@@ -3677,19 +3721,23 @@ static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float 
 }
 static void dn__row_f4(const float *x, size_t in, const float *w, const float *bias, float *y)
 {
-   dn__f4 a = dn__f4_load(bias), b = dn__f4_load(bias + 4), c = dn__f4_load(bias + 8), d = dn__f4_load(bias + 12), v;
-   size_t n;
-   for (n = 0; n < in; n++, w += DN_PANEL) {
-      v = dn__f4_all(x[n]);
-      a = dn__f4_fma(v, dn__f4_load(w), a);
-      b = dn__f4_fma(v, dn__f4_load(w + 4), b);
-      c = dn__f4_fma(v, dn__f4_load(w + 8), c);
-      d = dn__f4_fma(v, dn__f4_load(w + 12), d);
+   size_t n, first, last;
+   for (first = 0; first < in; first = last) {
+      dn__f4 a = dn__f4_all(0.0f), b = a, c = a, d = a, v;
+      last = dn__min(in, first + DN__RUN);
+      if (!first) a = dn__f4_load(bias), b = dn__f4_load(bias + 4), c = dn__f4_load(bias + 8), d = dn__f4_load(bias + 12);
+      for (n = first; n < last; n++, w += DN_PANEL) {
+         v = dn__f4_all(x[n]);
+         a = dn__f4_fma(v, dn__f4_load(w), a);
+         b = dn__f4_fma(v, dn__f4_load(w + 4), b);
+         c = dn__f4_fma(v, dn__f4_load(w + 8), c);
+         d = dn__f4_fma(v, dn__f4_load(w + 12), d);
+      }
+      dn__f4_store(y, first ? dn__f4_add(dn__f4_load(y), a) : a);
+      dn__f4_store(y + 4, first ? dn__f4_add(dn__f4_load(y + 4), b) : b);
+      dn__f4_store(y + 8, first ? dn__f4_add(dn__f4_load(y + 8), c) : c);
+      dn__f4_store(y + 12, first ? dn__f4_add(dn__f4_load(y + 12), d) : d);
    }
-   dn__f4_store(y, a);
-   dn__f4_store(y + 4, b);
-   dn__f4_store(y + 8, c);
-   dn__f4_store(y + 12, d);
 }
 #endif /* four lanes */
 
@@ -3884,7 +3932,8 @@ DN_API void dn_linear_run(const dn_linear *layer, const float *x, size_t x_strid
 /* ===================================================================================== >>attention
    in       rows v (N,d), graph (CSR), one packed block         out  y (N, K*F+B), may be columns of the same wide row
    touches  y and the scratch passed in, (N, K*F + 2K rounded up) floats; nothing else
-   paper    T 3.2-3.5; after Velickovic et al., Graph Attention Networks, ICLR 2018, sec. 2.1
+   paper    T 3.2-3.5, and T 3.6 (dense module) at the end; after Velickovic et al., Graph Attention Networks, ICLR
+            2018, sec. 2.1
    read     dn__attend_ref first (the equations), then dn__attend_avx512 (the same, fast)
 
    Two products: c goes straight to its columns of y; z to a row of scratch for every node, with the logits as further
@@ -4781,11 +4830,11 @@ static void dn__put_shape(dn__text *t, const size_t *shape, unsigned rank)
 {
    unsigned i;
    dn__put(t, "(");
-   for (i = 0; i < rank; i++) {
+   for (i = 0; i < rank && i < 4; i++) {
       if (i) dn__put(t, ",");
       dn__put_size(t, shape[i]);
    }
-   dn__put(t, ")");
+   dn__put(t, rank > 4 ? ",...)" : ")"); /* dn_tensor keeps four sides */
 }
 static void dn__join(char *buffer, size_t size, const char *a, const char *b)
 {
@@ -4839,12 +4888,12 @@ static const dn_tensor *dn__want(dn__loader *l, const char *name, unsigned rank,
          else dn__put(&s, "1..max");
       }
       dn__put(&s, "), file has ");
-      dn__put_shape(&s, t->shape, t->rank < 4 ? t->rank : 4);
+      dn__put_shape(&s, t->shape, t->rank);
       dn__load_fail(l, DN_BAD_SHAPE, name, text);
       return NULL;
    }
    if (t->format != DN_ST_F32 && t->format != DN_ST_F16 && t->format != DN_ST_BF16) {
-      dn__load_fail(l, DN_BAD_TYPE, name, ": expected F32, F16 or BF16");
+      dn__load_fail(l, DN_BAD_TYPE, name, t->format == DN_ST_I32 ? ": expected F32, F16 or BF16, file has I32" : ": expected F32, F16 or BF16, file has another type");
       return NULL;
    }
    return t;
@@ -4889,7 +4938,11 @@ static int dn__batchnorm(dn__loader *l, const char *name, size_t channels, dn_ba
    }
    if (l->packing && !l->failed)
       for (c = 0; c < channels; c++)
-         if (!(data[3][c] + 1e-5f > 0.0f)) dn__load_fail(l, DN_BAD_VALUE, full, ": a variance is negative");
+         if (!(data[3][c] + 1e-5f > 0.0f)) {
+            char text[80];
+            dn__number(text, sizeof text, ": channel ", c, " is negative, expected a variance, at least 0");
+            dn__load_fail(l, DN_BAD_VALUE, full, text); /* the first one is kept */
+         }
    bn->weight = data[0];
    bn->bias = data[1];
    bn->mean = data[2];
@@ -5075,7 +5128,6 @@ static size_t dn__build_model(dn__loader *l, dn_arch arch)
 }
 
 /* --- metadata */
-static int dn__same(const char *a, const char *b) { return strcmp(a, b) == 0; }
 static const char *dn__meta(dn__loader *l, const char *key, const char *absent)
 {
    const char *v = dn_tensors_meta(l->file, key);
@@ -5153,6 +5205,12 @@ static void dn__load_joints(dn__loader *l, size_t row_width)
       char *text;
       const char **table;
       for (names = 1, length = 0; list[length]; length++) names += list[length] == ',';
+      if (names > DN_MAX_DIM) { /* bind compares each with the character's */
+         char line[120];
+         dn__number(line, sizeof line, ": found ", names, " names, expected at most DN_MAX_DIM");
+         dn__load_fail(l, DN_BAD_SHAPE, "deformnet.joints", line);
+         return;
+      }
       text = (char *)dn__take(&l->memory, dn__add(length, 1), 1);
       table = (const char **)dn__take(&l->memory, names, sizeof *table);
       if (l->packing && !l->failed) {
@@ -5190,6 +5248,11 @@ static const char *dn__keep_string(dn__loader *l, const char *s)
    memcpy(copy, s, n);
    return copy;
 }
+/* a tensor [width] that may be absent; NULL then, and while measuring */
+static const float *dn__maybe(dn__loader *l, const char *name, size_t width)
+{
+   return dn_tensors_find(l->file, name) ? dn__floats(l, dn__want(l, name, 1, width, 0)) : NULL;
+}
 /* x -> (x - mean) / std before the first layer and x std + mean after the last, where the file has them */
 static void dn__load_scales(dn__loader *l, size_t row_width)
 {
@@ -5198,25 +5261,27 @@ static void dn__load_scales(dn__loader *l, size_t row_width)
    l->temp.used = 0;
    for (i = 0; i < 3; i++) m->output_mean[i] = 0.0f, m->output_std[i] = 1.0f;
    if (dn_tensors_find(l->file, "input.mean") || dn_tensors_find(l->file, "input.std")) {
-      const float *mean = dn__floats(l, dn__want(l, "input.mean", 1, row_width, 0));
-      const float *std = dn__floats(l, dn__want(l, "input.std", 1, row_width, 0));
+      const float *mean = dn__maybe(l, "input.mean", row_width), *std = dn__maybe(l, "input.std", row_width);
       float *kept_mean = (float *)dn__take(&l->memory, row_width, sizeof(float));
       float *kept_scale = (float *)dn__take(&l->memory, row_width, sizeof(float));
       if (l->packing && !l->failed) {
          for (i = 0; i < row_width; i++) {
-            kept_mean[i] = mean[i];
-            kept_scale[i] = 1.0f / std[i];
-            if (!dn__finite(kept_scale[i])) dn__load_fail(l, DN_BAD_VALUE, "input.std", ": an element is zero");
+            kept_mean[i] = mean ? mean[i] : 0.0f;
+            kept_scale[i] = std ? 1.0f / std[i] : 1.0f;
+            if (!dn__finite(kept_scale[i])) {
+               char text[80];
+               dn__number(text, sizeof text, ": element ", i, " is zero or too small to divide by");
+               dn__load_fail(l, DN_BAD_VALUE, "input.std", text);
+            }
          }
          m->input_mean = kept_mean;
          m->input_scale = kept_scale;
       }
    }
-   if (dn_tensors_find(l->file, "output.mean") || dn_tensors_find(l->file, "output.std")) {
-      const float *mean = dn__floats(l, dn__want(l, "output.mean", 1, 3, 0));
-      const float *std = dn__floats(l, dn__want(l, "output.std", 1, 3, 0));
+   {
+      const float *mean = dn__maybe(l, "output.mean", 3), *std = dn__maybe(l, "output.std", 3);
       if (l->packing && !l->failed)
-         for (i = 0; i < 3; i++) m->output_mean[i] = mean[i], m->output_std[i] = std[i];
+         for (i = 0; i < 3; i++) m->output_mean[i] = mean ? mean[i] : 0.0f, m->output_std[i] = std ? std[i] : 1.0f;
    }
 }
 
@@ -5226,10 +5291,10 @@ static void dn__load_all(dn__loader *l, size_t blocks)
    dn_model *m = l->model;
    size_t arch, row_width, archs = sizeof dn__arch_names / sizeof *dn__arch_names;
    const char *s = dn__meta(l, "deformnet.version", NULL);
-   if (s && !dn__same(s, "1")) dn__meta_fail(l, "deformnet.version", s, "1");
+   if (s && !dn__name_equal(s, "1")) dn__meta_fail(l, "deformnet.version", s, "1");
    s = dn__meta(l, "deformnet.arch", NULL);
    if (l->failed) return;
-   for (arch = 0; arch < archs && !dn__same(s, dn__arch_names[arch]); arch++) {}
+   for (arch = 0; arch < archs && !dn__name_equal(s, dn__arch_names[arch]); arch++) {}
    if (arch == archs) {
       dn__meta_fail(l, "deformnet.arch", s, "mlp, gat, neuroskinning, densegats, multiresgnet");
       return;
@@ -5238,11 +5303,11 @@ static void dn__load_all(dn__loader *l, size_t blocks)
    m->info.arch_name = dn__arch_names[arch];
    dn__load_features(l);
    s = dn__meta(l, "deformnet.frame", "model");
-   if (!dn__same(s, "model") && !dn__same(s, "root")) dn__meta_fail(l, "deformnet.frame", s, "model, root");
-   m->info.root_frame = dn__same(s, "root");
+   if (!dn__name_equal(s, "model") && !dn__name_equal(s, "root")) dn__meta_fail(l, "deformnet.frame", s, "model, root");
+   m->info.root_frame = dn__name_equal(s, "root");
    s = dn__meta(l, "deformnet.pooling", "dynamic");
-   if (!dn__same(s, "dynamic") && !dn__same(s, "rest")) dn__meta_fail(l, "deformnet.pooling", s, "dynamic, rest");
-   m->info.pooling = dn__same(s, "rest") ? DN_POOL_REST : DN_POOL_DYNAMIC;
+   if (!dn__name_equal(s, "dynamic") && !dn__name_equal(s, "rest")) dn__meta_fail(l, "deformnet.pooling", s, "dynamic, rest");
+   m->info.pooling = dn__name_equal(s, "rest") ? DN_POOL_REST : DN_POOL_DYNAMIC;
    s = dn__meta(l, "deformnet.unit", "1");
    m->info.unit = dn__decimal(s);
    if (!(m->info.unit > 0.0f)) dn__meta_fail(l, "deformnet.unit", s, "metres per unit, more than 0");
@@ -5358,7 +5423,16 @@ static size_t dn__file_size(FILE *f)
    long n;
    if (fseek(f, 0, SEEK_END)) return SIZE_MAX;
    n = ftell(f);
-   return n < 0 || fseek(f, 0, SEEK_SET) ? SIZE_MAX : (size_t)n;
+   if (n < 0 || (unsigned long)n == (unsigned long)-1 / 2) return SIZE_MAX; /* a directory, where it opens, is LONG_MAX long */
+   return fseek(f, 0, SEEK_SET) ? SIZE_MAX : (size_t)n;
+}
+static void dn__file_fail(dn_error *err, dn_result code, const char *path, const char *text)
+{
+   char line[240];
+   dn__text t = dn__text_of(line, sizeof line);
+   dn__put(&t, text); /* first: a long path is cut */
+   dn__put(&t, path);
+   dn__fail(err, code, "model file", SIZE_MAX, line);
 }
 DN_API dn_model *dn_model_load_file(const char *path, const dn_allocator *allocator, dn_error *err)
 {
@@ -5366,9 +5440,11 @@ DN_API dn_model *dn_model_load_file(const char *path, const dn_allocator *alloca
    FILE *f = fopen(path, "rb");
    size_t size = f ? dn__file_size(f) : SIZE_MAX;
    unsigned char *bytes = NULL;
-   if (size == SIZE_MAX || size == 0) dn__fail(err, f && size == 0 ? DN_TRUNCATED : DN_IO, "model file", SIZE_MAX, path);
-   else if (!(bytes = (unsigned char *)dn__alloc(allocator, size))) dn__fail(err, DN_NO_MEMORY, "model file", SIZE_MAX, path);
-   else if (fread(bytes, 1, size, f) != size) dn__fail(err, DN_IO, "model file", SIZE_MAX, path);
+   if (!f) dn__file_fail(err, DN_IO, path, "cannot open ");
+   else if (size == SIZE_MAX) dn__file_fail(err, DN_IO, path, "cannot find the length of ");
+   else if (size == 0) dn__file_fail(err, DN_TRUNCATED, path, "found 0 bytes, expected at least 8 in ");
+   else if (!(bytes = (unsigned char *)dn__alloc(allocator, size))) dn__file_fail(err, DN_NO_MEMORY, path, "no memory for the bytes of ");
+   else if (fread(bytes, 1, size, f) != size) dn__file_fail(err, DN_IO, path, "cannot read all of ");
    else model = dn_model_load(bytes, size, allocator, err);
    dn__release(allocator, bytes, size);
    if (f) fclose(f);
@@ -5466,6 +5542,7 @@ static void dn__tail_range(void *job, size_t begin, size_t end, unsigned worker)
    const dn__run *r = j->r;
    const dn__block *b = &r->m->blocks[r->m->block_count - 3];
    float *t0 = r->n->tile + worker * DN__TILE * r->n->tile_width, *t1 = t0 + DN__TILE * b[0].out;
+   DN_ASSERT(worker < dn__workers(r->par)); /* the caller's job system numbers them; scratch has no more tiles */
    for (; begin < end; begin += DN__TILE) {
       size_t n = dn__min(DN__TILE, end - begin);
       dn_linear_run(&b[0].linear, j->x + begin * j->x_stride, j->x_stride, n, t0, b[0].out, NULL);
@@ -5623,10 +5700,24 @@ typedef struct dn__bind { /* bind's scratch: the mesh in the library's own form 
    size_t work_bytes;
 } dn__bind;
 
+#define DN__MOST ((size_t)0x7fffffff / 8) /* vertices, triangles: 6 per triangle and 3 per vertex stay 32-bit indices */
 static const char dn__where_bind[] = "bind";
 static dn_result dn__bind_fail(const dn__bind *b, dn_result code, const char *what, size_t index, const char *problem)
 {
    return dn__fail_sizes(b->err, code, dn__where_bind, index, what, index, NULL, 0, problem);
+}
+/* "triangle 7: vertex index 99, expected below 42" */
+static dn_result dn__bind_range(const dn__bind *b, dn_result code, const char *what, size_t at, const char *found, size_t value, size_t limit)
+{
+   char line[240];
+   dn__text t = dn__text_of(line, sizeof line);
+   dn__put(&t, what);
+   dn__put_size(&t, at);
+   dn__put(&t, found);
+   dn__put_size(&t, value);
+   dn__put(&t, ", expected below ");
+   dn__put_size(&t, limit);
+   return dn__fail(b->err, code, dn__where_bind, at, line);
 }
 static int dn__step(const dn__bind *b, const char *stage, float done) /* non-zero: cancelled */
 {
@@ -5686,10 +5777,18 @@ static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_
    b->joints = desc->skeleton.joints;
    if (m->vertices == 0) return dn__fail(err, DN_BAD_MESH, dn__where_bind, SIZE_MAX, "no vertices");
    if (b->joints == 0 || m->skin_sets == 0) return dn__fail(err, DN_BAD_SKIN, dn__where_bind, SIZE_MAX, "no joints or no skin weights: the mesh is not skinned");
-   if (m->vertices > 0x7fffffffu / 8 || m->triangles > 0x7fffffffu / 8 || b->joints > DN_MAX_DIM)
-      return dn__fail_sizes(err, DN_BAD_MESH, dn__where_bind, SIZE_MAX, "vertices: ", m->vertices, ", triangles: ", m->triangles, ": more than this version takes");
+   if (m->vertices > DN__MOST || m->triangles > DN__MOST)
+      return dn__fail_sizes(err, DN_BAD_MESH, dn__where_bind, SIZE_MAX, m->vertices > DN__MOST ? "vertices: found " : "triangles: found ",
+                            m->vertices > DN__MOST ? m->vertices : m->triangles, ", expected at most ", DN__MOST, NULL);
+   if (b->joints > DN_MAX_DIM) return dn__fail_sizes(err, DN_BAD_SKIN, dn__where_bind, SIZE_MAX, "joints: found ", b->joints, ", expected at most ", DN_MAX_DIM, NULL);
    DN_ASSERT(m->positions && m->skin && (m->triangles == 0 || m->indices));
    DN_ASSERT(m->triangles == 0 || m->index_type == DN_U16 || m->index_type == DN_U32);
+   for (s = 0; s < m->skin_sets; s++) {
+      if (m->skin[s].influences == 0) continue;
+      DN_ASSERT(m->skin[s].joints && m->skin[s].weights);
+      DN_ASSERT(m->skin[s].joint_type == DN_U8 || m->skin[s].joint_type == DN_U16 || m->skin[s].joint_type == DN_U32);
+      DN_ASSERT(m->skin[s].weight_type == DN_F32 || m->skin[s].weight_type == DN_U8N || m->skin[s].weight_type == DN_U16N);
+   }
    if (desc->resolution > 512) return dn__fail_sizes(err, DN_BAD_VALUE, dn__where_bind, SIZE_MAX, "resolution ", desc->resolution, ", at most ", 512, NULL);
    if (!dn__finite(desc->weld_distance)) return dn__fail(err, DN_BAD_VALUE, dn__where_bind, SIZE_MAX, "weld_distance is not finite");
    for (v = 0; v < m->vertices; v++) { /* how many influences are really used */
@@ -5714,10 +5813,27 @@ static unsigned dn__resolution(const dn_rig_desc *d) { return d->resolution ? d-
 /* --- layouts: one for scratch (from the counts and the bounding box), one for the rig (bounds, or exact once welded) */
 static size_t dn__frame_bytes(const dn_model *m, size_t vertices, size_t nodes, size_t neighbours, size_t joints,
                               const dn_clusters *rest, int dual, unsigned workers);
-/* dn_geodesic_scratch before there are nodes: what it needs depends on the bounding box only */
-static size_t dn__geodesic_scratch_box(const float box[6], size_t nodes, unsigned resolution, unsigned workers)
+/* dn_geodesic_scratch before there are nodes: what it needs depends on the bounding box only. Welding over a distance
+   moves each face of the box in by at most that much; where the longest side shrinks, the cells do, and the other sides
+   take more of them. */
+static size_t dn__geodesic_scratch_box(float box[6], size_t nodes, float weld_distance, unsigned resolution, unsigned workers)
 {
-   size_t corners = dn_geodesic_scratch(box, 2, 0, resolution, workers);
+   size_t corners;
+   double side[3], longest = 0.0, least;
+   int k;
+   for (k = 0; k < 3; k++) {
+      side[k] = (double)box[3 + k] - (double)box[k];
+      longest = side[k] > longest ? side[k] : longest;
+   }
+   if (weld_distance > 0.0f && longest > 0.0) {
+      least = longest - 2.0 * (double)weld_distance;
+      for (k = 0; k < 3; k++) { /* the box in longest sides: only ratios count; a thousandth more covers the rounding */
+         double ratio = least > 0.0 ? 1.001 * side[k] / least : 1.0;
+         box[k] = 0.0f;
+         box[3 + k] = ratio < 1.0 && side[k] < longest ? (float)ratio : 1.0f;
+      }
+   }
+   corners = dn_geodesic_scratch(box, 2, 0, resolution, workers);
    return dn__add(corners, dn__round(dn__mul(nodes, sizeof(uint32_t)), DN__ALIGN)); /* a cell per node */
 }
 static void dn__bind_memory(dn__bind *b, dn__arena *a)
@@ -5747,7 +5863,7 @@ static void dn__bind_memory(dn__bind *b, dn__arena *a)
             if (p[c] > box[3 + c]) box[3 + c] = p[c];
          }
       }
-      work = dn__max(work, dn__geodesic_scratch_box(box, V, dn__resolution(b->desc), workers));
+      work = dn__max(work, dn__geodesic_scratch_box(box, V, b->desc->weld_distance, dn__resolution(b->desc), workers));
    }
    if (b->wants_clusters) /* the network up to its pool, on the rest pose */
       work = dn__max(work, dn__add(dn__mul(b->joints, 12 * sizeof(float) + DN__ALIGN), dn__frame_bytes(b->model, V, V, neighbours, b->joints, NULL, b->desc->skinning == DN_DQS, workers)));
@@ -5800,7 +5916,7 @@ static dn_result dn__bind_skin(dn__bind *b)
             size_t j = dn__set_joint(&m->skin[s], v, k);
             if (w < 0.0f) b->report.influences_dropped++;
             if (!(w > 0.0f)) continue;
-            if (j >= b->joints) return dn__fail_sizes(b->err, DN_BAD_SKIN, dn__where_bind, v, "vertex ", v, ": joint index ", j, " is not in the skeleton");
+            if (j >= b->joints) return dn__bind_range(b, DN_BAD_SKIN, "vertex ", v, ": joint index ", j, b->joints);
             joint[n] = (uint32_t)j;
             weight[n++] = w;
             sum += (double)w;
@@ -5824,7 +5940,7 @@ static dn_result dn__bind_triangles(dn__bind *b)
    for (t = 0; t < b->triangles; t++)
       for (c = 0; c < 3; c++) {
          size_t v = dn__index_at(m->indices, m->index_type, (3 * t + c) * size);
-         if (v >= b->vertices) return dn__fail_sizes(b->err, DN_BAD_MESH, dn__where_bind, t, "triangle ", t, ": vertex index ", v, " is out of range");
+         if (v >= b->vertices) return dn__bind_range(b, DN_BAD_MESH, "triangle ", t, ": vertex index ", v, b->vertices);
          b->triangle[3 * t + c] = b->node_of_vertex[v];
       }
    return DN_OK;
@@ -5887,6 +6003,7 @@ static dn_result dn__bind_missing(dn__bind *b, const uint32_t *map)
    dn__put(&t, " joints:");
    for (s = 0; s < b->model_joints; s++)
       if (map[s] == DN__NONE) dn__put(&t, " "), dn__put(&t, b->model->info.joint_names[s]);
+   if (t.at == t.end) memcpy(t.end - 4, " ...", 4); /* the list did not fit; the count stands in front */
    return dn__fail(b->err, DN_MISSING_JOINT, dn__where_bind, SIZE_MAX, line);
 }
 static dn_result dn__bind_joints(dn__bind *b, uint32_t *map, uint32_t *fold)
@@ -5914,12 +6031,12 @@ static dn_result dn__bind_joints(dn__bind *b, uint32_t *map, uint32_t *fold)
    for (k = 0; k < b->joints; k++) {
       size_t at = k, hops; /* hops: a loop in the parents must not hang us */
       if (fold[k] == (uint32_t)k) continue;
-      for (hops = 0; hops < b->joints && sk->parents && sk->parents[at] >= 0 && fold[at] != (uint32_t)at; hops++) {
+      for (hops = 0; hops < b->joints && sk->parents && sk->parents[at] >= 0 && fold[at] == DN__NONE; hops++) {
          if ((size_t)sk->parents[at] >= b->joints)
-            return dn__fail_sizes(b->err, DN_BAD_SKIN, dn__where_bind, at, "joint ", at, ": parent ", (size_t)sk->parents[at], " is not in the skeleton");
+            return dn__bind_range(b, DN_BAD_SKIN, "joint ", at, ": parent ", (size_t)sk->parents[at], b->joints);
          at = (size_t)sk->parents[at];
       }
-      fold[k] = fold[at] == (uint32_t)at ? (uint32_t)at : map[0];
+      fold[k] = fold[at] != DN__NONE ? fold[at] : map[0]; /* a named joint's is itself, an extra one's was found already */
       b->report.joints_folded++;
    }
    return DN_OK;
@@ -6149,6 +6266,16 @@ DN_API size_t dn_scratch_size(const dn_rig *r, unsigned workers)
    return dn__frame_bytes(r->model, r->view.vertices, r->view.nodes, r->view.graph.first[r->view.nodes], r->view.joints,
                           r->has_clusters ? &r->clusters : NULL, r->skinning == DN_DQS, workers ? workers : 1);
 }
+DN_API void *dn_scratch_create(const dn_rig *r, unsigned workers, const dn_allocator *allocator, size_t *bytes, dn_error *err)
+{
+   void *scratch;
+   DN_ASSERT(r && bytes);
+   *bytes = dn_scratch_size(r, workers);
+   scratch = dn__alloc(allocator, *bytes);
+   if (!scratch) dn__fail_sizes(err, DN_NO_MEMORY, "frame", SIZE_MAX, "scratch of ", *bytes, NULL, 0, " bytes");
+   return scratch;
+}
+DN_API void dn_scratch_free(void *scratch, size_t bytes, const dn_allocator *allocator) { dn__release(allocator, scratch, bytes); }
 static float *dn__strided(float *base, size_t stride, size_t i) { return (float *)((unsigned char *)base + i * stride); }
 
 /* --- stage 1: skin */
@@ -6451,6 +6578,56 @@ static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r)
    r->has_clusters = 1;
    return DN_OK;
 }
+
+/* the private macros go: what stays defined is documented in >>config, >>types and >>layers */
+#undef DN__AHEAD
+#undef DN__ALIGN
+#undef DN__ALL
+#undef DN__BLOCK
+#undef DN__BUCKETS
+#undef DN__EACH14
+#undef DN__EACH3
+#undef DN__EACH6
+#undef DN__EXP_0
+#undef DN__EXP_1
+#undef DN__EXP_2
+#undef DN__EXP_3
+#undef DN__EXP_4
+#undef DN__EXP_HIGH
+#undef DN__EXP_LOW
+#undef DN__F4_EACH
+#undef DN__F4_KERNEL
+#undef DN__F4_NEON
+#undef DN__F4_ROWS
+#undef DN__F4_SSE
+#undef DN__F4_WASM
+#undef DN__FAR
+#undef DN__GRAIN
+#undef DN__HAS_AVX2
+#undef DN__HAS_AVX512
+#undef DN__HAS_F4
+#undef DN__HEADER_CAP
+#undef DN__INLINE
+#undef DN__LN2_HIGH
+#undef DN__LN2_LOW
+#undef DN__LOG2E
+#undef DN__MOST
+#undef DN__NONE
+#undef DN__PROBE_CAP
+#undef DN__RANK_CAP
+#undef DN__RUN
+#undef DN__SEEDS
+#undef DN__SOURCE
+#undef DN__TANH_0
+#undef DN__TANH_1
+#undef DN__TANH_2
+#undef DN__TANH_3
+#undef DN__TANH_4
+#undef DN__TANH_SMALL
+#undef DN__TARGET_AVX2
+#undef DN__TARGET_AVX512
+#undef DN__TOUCH
+#undef DN__WEIGHTS
 
 #endif /* DEFORMNET_IMPLEMENTATION */
 

@@ -9,7 +9,6 @@
 #include "../deformnet.h"
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 
 enum { RINGS = 49, SIDES = 24, V = RINGS * SIDES + 2, T = 2 * RINGS * SIDES };
 static float rest[V][3], weight[V][2], posed[V][3];
@@ -73,7 +72,8 @@ int main(int argc, char **argv)
    dn_skin_set skin = { 0 };
    dn_model *model = dn_model_load_file(path, NULL, &err);
    dn_rig *rig = NULL;
-   void *block = NULL;
+   void *scratch = NULL;
+   size_t size = 0;
    int degrees;
 
    build_tube();
@@ -86,8 +86,8 @@ int main(int argc, char **argv)
    d.skeleton.joints = 2, d.skeleton.names = names, d.skeleton.parents = parents;
    d.skeleton.inverse_bind = inverse_bind[0], d.skeleton.matrix = DN_3X4_ROWS;
    if (model) rig = dn_rig_create(model, &d, NULL, NULL, &err);
-   if (rig) block = malloc(dn_scratch_size(rig, 1) + 63);
-   if (!block) {
+   if (rig) scratch = dn_scratch_create(rig, 1, NULL, &size, &err);
+   if (!scratch) {
       fprintf(stderr, "%s: %s: %s (%s)\n", path, err.where ? err.where : "minimal", dn_result_text(err.code), err.info);
       return 1;
    }
@@ -95,7 +95,6 @@ int main(int argc, char **argv)
    for (degrees = 0; degrees <= 120; degrees += 30) {
       float c = cosf((float)degrees * 0.01745329f), s = sinf((float)degrees * 0.01745329f); /* about z, through the elbow */
       float palette[2][12] = { { 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0 }, { 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0 } };
-      void *scratch = (void *)(((uintptr_t)block + 63) & ~(uintptr_t)63); /* 64-byte aligned */
       double percent[2], thickness[2];
       int k;
       palette[1][0] = c, palette[1][1] = -s, palette[1][3] = s * elbow;
@@ -106,13 +105,13 @@ int main(int argc, char **argv)
          pose.palette = palette[0], pose.matrix = DN_3X4_ROWS;
          pose.strength = (float)k; /* 0: plain skinning, 1: all of the network's displacement */
          out.positions = posed[0];
-         if (dn_deform(rig, &pose, &out, scratch, dn_scratch_size(rig, 1), NULL, &err)) fprintf(stderr, "%s\n", err.info);
+         if (dn_deform(rig, &pose, &out, scratch, size, NULL, &err)) fprintf(stderr, "%s\n", err.info);
          percent[k] = 100 * volume(posed) / volume(rest);
          thickness[k] = 50 * across(posed[RINGS / 2 * SIDES], posed[RINGS / 2 * SIDES + SIDES / 2]) / (double)radius;
       }
       printf("%4d     %7.1f   %7.1f    %7.1f   %7.1f\n", degrees, percent[0], percent[1], thickness[0], thickness[1]);
    }
-   free(block);
+   dn_scratch_free(scratch, size, NULL);
    dn_rig_free(rig);
    dn_model_free(model);
    return 0;

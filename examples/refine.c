@@ -284,6 +284,9 @@ typedef struct job {
    float *refined, *normals;         /* (frames,V,3) when they are written out, else (V,3) */
    float *skinned, *skinned_normals; /* (V,3) of the frame at hand */
    float *lbs_error, *refined_error; /* (frames,V) with a truth */
+   float *before[2][2];              /* (V,3) refined - skinned and truth - skinned, one and two frames ago */
+   float *jump[2];                   /* (frames,V) their second differences in time */
+   figures jumps[2];
    double *lbs_mean, *refined_mean;  /* (frames) centimetres; without a truth refined_mean is the displacement's */
    float *worst[6];                  /* the picture's frame: skinned, refined, truth positions, then their normals */
    size_t worst_frame;
@@ -328,6 +331,8 @@ static int allocate(job *j)
    bad |= !(j->refined = (float *)take(kept * v, 12)) || !(j->normals = (float *)take(kept * v, 12));
    if (v > SIZE_MAX / 4 / j->frames) return say("out of memory");
    bad |= !(j->lbs_error = (float *)take(j->frames * v, 4)) || !(j->refined_error = (float *)take(j->frames * v, 4));
+   for (i = 0; i < 4; i++) bad |= !(j->before[i / 2][i % 2] = (float *)take(v, 12));
+   for (i = 0; i < 2; i++) bad |= !(j->jump[i] = (float *)take(j->frames * v, 4));
    return bad || !j->scratch_block ? say("out of memory for %zu frames of %zu vertices", j->frames, v) : 0;
 }
 
@@ -335,6 +340,31 @@ static float distance(const float *a, const float *b)
 {
    float x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
    return sqrtf(x * x + y * y + z * z);
+}
+
+/* What skinning does moves evenly; what is added to it must too, or it pops: second differences in time of refined - skinned,
+   and of truth - skinned beside them */
+static void follow(job *j, size_t i, const float *refined)
+{
+   size_t v, k, n = j->scene->vertices;
+   const float *target[2];
+   target[0] = refined;
+   target[1] = j->truth.file ? (const float *)j->truth.vertices->data + j->frame[i] * n * 3 : NULL;
+   for (k = 0; k < 2 && target[k]; k++) {
+      float *b = j->before[k][0], *a = j->before[k][1]; /* the displacements one and two frames ago */
+      for (v = 0; v < n; v++) {
+         const float *x = target[k] + 3 * v, *s = j->skinned + 3 * v;
+         float d[3];
+         d[0] = x[0] - s[0], d[1] = x[1] - s[1], d[2] = x[2] - s[2];
+         if (i >= 2) {
+            float u[3];
+            u[0] = a[3 * v] - 2 * b[3 * v] + d[0], u[1] = a[3 * v + 1] - 2 * b[3 * v + 1] + d[1], u[2] = a[3 * v + 2] - 2 * b[3 * v + 2] + d[2];
+            j->jump[k][(i - 2) * n + v] = sqrtf(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
+         }
+         memcpy(a + 3 * v, d, sizeof d);
+      }
+      j->before[k][0] = a, j->before[k][1] = b;
+   }
 }
 
 /* errors of frame i (with a truth) or its displacement, and the frame to picture */
@@ -408,6 +438,7 @@ static int deform_frames(job *j, const char *character)
       dn_stage_skin(j->rig, &pose, j->scratch, j->scratch_bytes, &j->parallel, NULL);
       dn_stage_output(j->rig, &pose, &plain, j->scratch, &j->parallel, NULL);
       compare(j, i, out.positions, out.normals);
+      follow(j, i, out.positions);
    }
    free(palette);
    return bad;
@@ -444,6 +475,9 @@ static void print_report(const job *j, const char *model, const char *character)
       printf("resting     %.1f %% of the vertices that skinning had right (within 0.5 mm) are still right\n",
              100 * (double)j->resting_kept / (double)j->resting);
    printf("worse       %zu of %zu frames are worse than skinned, on average\n", j->worse_frames, j->frames);
+   if (j->frames > 2)
+      printf("in time     99 %% of second differences of what is added to skinning: refined %.3f, truth %.3f cm\n", j->jumps[0].p99,
+             j->jumps[1].p99);
 }
 
 static void json_figure(FILE *f, const char *key, int known, double value)
@@ -476,6 +510,8 @@ static int write_json(const job *j)
    fprintf(f, ",\n  \"unsettled\": %zu", j->unsettled);
    json_figure(f, "resting_kept", known && j->resting, j->resting ? (double)j->resting_kept / (double)j->resting : 0);
    json_figure(f, "worse_frames", known, (double)j->worse_frames);
+   json_figure(f, "refined_jump_p99_cm", j->frames > 2, j->jumps[0].p99);
+   json_figure(f, "truth_jump_p99_cm", known && j->frames > 2, j->jumps[1].p99);
    fprintf(f, ",\n  \"fallback_nodes\": %zu,\n  \"kernels\": \"%s\"\n}\n", j->fallback_nodes, dn_kernel_name());
    bad = ferror(f) != 0;
    bad |= fclose(f) != 0;
@@ -620,6 +656,7 @@ static int run(job *j, int argc, char **argv)
    n = j->frames * j->scene->vertices;
    j->ours = measure(j->refined_error, n);
    if (j->truth.file) j->lbs = measure(j->lbs_error, n);
+   for (i = 0; i < 2 && j->frames > 2; i++) j->jumps[i] = measure(j->jump[i], (j->frames - 2) * j->scene->vertices);
    if (j->o.json && write_json(j)) return 1;
    print_report(j, model, character);
    if (j->o.out) printf("wrote       %s\n", j->o.out);
@@ -637,6 +674,8 @@ int main(int argc, char **argv)
    code = run(&j, argc, argv);
    for (i = 0; i < STAGES; i++) free(j.ms[i]);
    for (i = 0; i < 6; i++) free(j.worst[i]);
+   for (i = 0; i < 4; i++) free(j.before[i / 2][i % 2]);
+   for (i = 0; i < 2; i++) free(j.jump[i]);
    free(j.total), free(j.lbs_mean), free(j.refined_mean), free(j.lbs_error), free(j.refined_error);
    free(j.refined), free(j.normals), free(j.skinned), free(j.skinned_normals), free(j.frame), free(j.scratch_block);
    dn_rig_free(j.rig);

@@ -66,8 +66,9 @@ void ex__multiply(const double *a, const double *b, double *out)
 }
 int ex__invert(const double *m, double *out)
 {
-   double c[3][3], d, big = 0;
+   double c[3][3], d, big = 0, move[3];
    int i, k;
+   for (i = 0; i < 3; i++) move[i] = m[4 * i + 3]; /* out may be m */
    for (i = 0; i < 3; i++) for (k = 0; k < 3; k++) {
       int a = (i + 1) % 3, b = (i + 2) % 3, e = (k + 1) % 3, f = (k + 2) % 3;
       c[k][i] = m[4 * a + e] * m[4 * b + f] - m[4 * a + f] * m[4 * b + e];
@@ -78,7 +79,7 @@ int ex__invert(const double *m, double *out)
    for (i = 0; i < 3; i++) {
       double t[4];
       for (k = 0; k < 3; k++) t[k] = c[i][k] / d;
-      t[3] = -(t[0] * m[3] + t[1] * m[7] + t[2] * m[11]);
+      t[3] = -(t[0] * move[0] + t[1] * move[1] + t[2] * move[2]);
       memcpy(out + 4 * i, t, sizeof t);
    }
    return 1;
@@ -87,7 +88,11 @@ static void widen(const float *a, double *m) { int i; for (i = 0; i < 12; i++) m
 static int finite_all(const float *v, size_t n, size_t *where)
 {
    size_t i;
-   for (i = 0; i < n; i++) if (!(v[i] - v[i] == 0)) { *where = i; return 0; }
+   for (i = 0; i < n; i++) { /* by bits: holds under -ffast-math too */
+      uint32_t u;
+      memcpy(&u, v + i, 4);
+      if ((u >> 23 & 255) == 255) { *where = i; return 0; }
+   }
    return 1;
 }
 

@@ -124,7 +124,7 @@ ex__clip *ex__gltf_clip(const char *path, const char *which, char *error);
 void ex__clip_free(ex__clip *clip);
 void ex__matrix(const float *trs, double *m);              /* (10) -> row-major 3x4 */
 void ex__multiply(const double *a, const double *b, double *out); /* 3x4, out may be a or b */
-int ex__invert(const double *m, double *out);              /* 0: singular */
+int ex__invert(const double *m, double *out);              /* 3x4, out may be m; 0: singular, out untouched */
 
 #ifdef __cplusplus
 }

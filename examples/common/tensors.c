@@ -247,6 +247,7 @@ ex_tensors *ex_tensors_open(const char *path, char *error)
          if (!read_tensor(f, &s, name, size)) { say(error, path, "tensor %.80s: %s", f->tensors ? f->tensor[f->tensors - 1].name : "?", s.wrong); goto fail; }
       }
    }
+   if (!s.wrong) { s.p++; if (peek(&s) || s.p < s.end) s.wrong = "something follows the header's closing brace"; }
    if (s.wrong) { say(error, path, "%s", s.wrong); goto fail; }
    fclose(in);
    return f;

@@ -232,7 +232,7 @@ int main(int argc, char **argv)
 {
    char error[EX_ERROR];
    ex_scene *scene;
-   ex_motion *motion;
+   ex_motion *motion = NULL;
    body *b = NEW(body, 1);
    pthread_t thread[256];
    job j;

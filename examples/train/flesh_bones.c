@@ -41,7 +41,7 @@ void flesh_bones(body *b)
       for (i = 0; i < b->vertices; i++) { vec d = vsub(b->pos[i], b->x[n]); double q = vdot(d, d); if (q < depth) depth = q; }
       depth = sqrt(depth);
       b->kt[n] = (b->shell[n] ? 50 : 1) * b->o.tether * unit;
-      for (p = 0; p < b->parts; p++) if (b->end[b->part_joint[p]] && w[p] > heaviest) { heaviest = w[p]; best = b->part_joint[p]; }
+      for (p = 0; p < b->parts; p++) if (b->end[b->part_joint[p]] && (double)w[p] > heaviest) { heaviest = w[p]; best = b->part_joint[p]; }
       b->rj[n] = best;
       b->kr[n] = b->o.rigid * unit * smooth(0.6, 0.95, heaviest);
       for (c = 0; c < b->joints; c++) { /* the nearest bone among those that move this node */

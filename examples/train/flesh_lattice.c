@@ -75,6 +75,7 @@ static void surface_cells(body *b)
       const int *q = b->tri[t];
       vec A = b->pos[q[0]], B = b->pos[q[1]], C = b->pos[q[2]], fn = vunit(vcross(vsub(B, A), vsub(C, A)));
       double L = fmax(vlen(vsub(B, A)), fmax(vlen(vsub(C, A)), vlen(vsub(C, B))));
+      const float *wa = W + (size_t)q[0] * (size_t)P, *wb = W + (size_t)q[1] * (size_t)P, *wc = W + (size_t)q[2] * (size_t)P;
       int n = (int)ceil(L / (h * 0.3));
       if (n < 1) n = 1;
       for (i = 0; i <= n; i++) for (k = 0; k <= n - i; k++) {
@@ -83,7 +84,7 @@ static void surface_cells(body *b)
          int best = -1, c;
          float f, *cw;
          cell *into;
-         for (p = 0; p < P; p++) w[p] = (float)(s * W[(size_t)q[0] * (size_t)P + (size_t)p] + u * W[(size_t)q[1] * (size_t)P + (size_t)p] + v * W[(size_t)q[2] * (size_t)P + (size_t)p]);
+         for (p = 0; p < P; p++) w[p] = (float)(s * (double)wa[p] + u * (double)wb[p] + v * (double)wc[p]);
          for (c = b->grid[place(b, (int)g.x, (int)g.y, (int)g.z)]; c >= 0; c = b->cell[c].next) {
             double d = apart(b, cell_weights(b, c), w);
             if (d < best_d) { best_d = d; best = c; }

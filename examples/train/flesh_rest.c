@@ -15,11 +15,11 @@ static void scales(body *b)
    float *palette = NEW(float, 12 * s->joints);
    double m, lo[3], hi[3], size = 0;
    size_t i, k, c;
-   const float *p;
+   double p[12];
    ex_pose_local(s, NULL, palette);
    for (c = 0; c + 1 < s->joints && !b->alive[c]; c++) {}
-   p = palette + 12 * c; /* rest palette: rotation times a scale, when the file's mesh is in other units */
-   m = p[0] * ((double)p[5] * p[10] - (double)p[6] * p[9]) - p[1] * ((double)p[4] * p[10] - (double)p[6] * p[8]) + p[2] * ((double)p[4] * p[9] - (double)p[5] * p[8]);
+   for (k = 0; k < 12; k++) p[k] = (double)palette[12 * c + k]; /* rest palette: rotation times a scale, when the file's mesh is in other units */
+   m = p[0] * (p[5] * p[10] - p[6] * p[9]) - p[1] * (p[4] * p[10] - p[6] * p[8]) + p[2] * (p[4] * p[9] - p[5] * p[8]);
    m = cbrt(fabs(m));
    if (!(m > 1e-9)) flesh_die("%s: the rest pose collapses", s->path);
    if (fabs(m - 1) < 1e-3) m = 1;
@@ -40,7 +40,7 @@ static double weight_of(const body *b, int v, int j)
 {
    double r = 0;
    int k;
-   for (k = 0; k < b->influences; k++) if (b->vj[v * b->influences + k] == j) r += b->vweight[v * b->influences + k];
+   for (k = 0; k < b->influences; k++) if (b->vj[v * b->influences + k] == j) r += (double)b->vweight[v * b->influences + k];
    return r;
 }
 static double apart(const body *b, int u, int v) /* sum of absolute differences of the skin weights */
@@ -83,9 +83,9 @@ static void weld(body *b)
          float w = s->skin_weights[i * (size_t)I + (size_t)k];
          b->vj[n * I + k] = (int)s->skin_joints[i * (size_t)I + (size_t)k];
          b->vweight[n * I + k] = w > 0 ? w : 0;
-         sum += w > 0 ? w : 0;
+         sum += w > 0 ? (double)w : 0;
       }
-      for (k = 0; k < I; k++) b->vweight[n * I + k] = sum > 0 ? (float)(b->vweight[n * I + k] / sum) : k == 0;
+      for (k = 0; k < I; k++) b->vweight[n * I + k] = sum > 0 ? (float)((double)b->vweight[n * I + k] / sum) : k == 0;
       for (; slot[key] >= 0; key = (key + 1) & (room - 1)) {
          vec d = vsub(b->pos[slot[key]], b->pos[n]);
          if (d.x == 0 && d.y == 0 && d.z == 0 && apart(b, slot[key], n) < 0.5) { at = slot[key]; break; }
@@ -209,7 +209,7 @@ static void skeleton(body *b)
       b->parent[j] = s->parents[j];
       b->joint[j] = vmul(vmake(s->joint_rest[3 * j], s->joint_rest[3 * j + 1], s->joint_rest[3 * j + 2]), b->rest);
    }
-   for (i = 0; i < b->vertices * b->influences; i++) own[b->vj[i]] += b->vweight[i] * (b->area[i / b->influences] + 1e-12);
+   for (i = 0; i < b->vertices * b->influences; i++) own[b->vj[i]] += (double)b->vweight[i] * (b->area[i / b->influences] + 1e-12);
    for (j = S - 1; j >= 0; j--) { total += own[j]; below[j] += own[j]; if (b->parent[j] >= 0) below[b->parent[j]] += below[j]; }
    ends_and_groups(b, below, total);
    for (j = 0; j < S; j++) b->part[j] = -1;

@@ -114,7 +114,7 @@ static void contact_vertices(body *b) /* one vertex stands for the skin in each 
       vec q = vmul(vsub(b->pos[i], b->org), 2 / b->h);
       uint64_t k;
       int s;
-      if (b->vc[i] < 0 || b->beta[i] > 0.9) continue;
+      if (b->vc[i] < 0 || b->beta[i] > 0.9f) continue;
       k = (uint64_t)b->vc[i] * 8 + (uint64_t)(((int)q.x & 1) + 2 * ((int)q.y & 1) + 4 * ((int)q.z & 1));
       s = (int)(k * 0x9E3779B97F4A7C15ull >> 40) & (room - 1);
       while (slot[s] >= 0 && (uint64_t)b->vc[b->cvert[slot[s]]] * 8 + (uint64_t)key[slot[s]] != k) s = (s + 1) & (room - 1);
@@ -473,7 +473,7 @@ static void pose(solver *s, const float *palette) /* palettes act on the mesh's 
    int j, k;
    for (j = 0; j < b->joints; j++) {
       double *m = s->A + 12 * (size_t)j;
-      for (k = 0; k < 12; k++) m[k] = palette[12 * j + k] * (k % 4 == 3 ? b->unit : b->unit / b->rest);
+      for (k = 0; k < 12; k++) m[k] = (double)palette[12 * j + k] * (k % 4 == 3 ? b->unit : b->unit / b->rest);
       s->q[j] = rotation(m);
       s->p[j] = carry(s->A, j, b->joint[j]);
    }
@@ -529,7 +529,7 @@ void flesh_solve(solver *s, const float *palette, int restart, float *out, figur
    f->stretch = (float)flesh_stretch(b, s->out);
    f->crossings_before = flesh_crossings(s, s->lbs, NULL);
    f->crossings_after = flesh_crossings(s, s->out, NULL);
-   f->settled = sane && f->step_mm <= b->o.bar;
+   f->settled = sane && (double)f->step_mm <= b->o.bar;
    clock_gettime(CLOCK_MONOTONIC, &t1);
    f->seconds = (double)(t1.tv_sec - t0.tv_sec) + 1e-9 * (double)(t1.tv_nsec - t0.tv_nsec);
 }

@@ -60,6 +60,7 @@ import nets
 import safetensors_io as st
 
 RESTING = 0.0005  # metres: skinning is right there
+MOVING = 0.002    # metres: a node that moves this much is drawn half as often as one that moves a lot
 FLOOR = 1e-3      # least variance that whitening scales up, of normalised rows
 
 
@@ -131,7 +132,7 @@ class Truth:
             c = dn.Character(os.path.join(self.o.characters, name + ".glb"), self.joints, cache=self.cache)
             self.joints = self.joints or c.model_joints  # the first character's order is the model's
             self.characters[name] = c
-            c.moves = np.zeros(c.nodes)  # sum of squared displacements, for drawing seeds
+            c.moves, c.poses = np.zeros(c.nodes), 0  # sum of squared displacements, for drawing seeds
         return self.characters[name]
 
     def scan(self):
@@ -154,14 +155,16 @@ class Truth:
                 continue
             self.train.append(clip)
             some = clip.frames[::max(1, len(clip.frames) // 4)]
+            clip.character.poses += len(clip.frames)
             for f in some:
                 _, delta = clip.character.displacement(clip.palettes[f], clip.vertices[f])
                 clip.character.moves += np.square(delta).sum(1) * (len(clip.frames) / len(some))
         if not self.train:
             raise SystemExit(f"{self.o.truth}: no CHARACTER__MOTION.safetensors to train on")
         for c in self.characters.values():
-            rms = np.sqrt(c.moves / max(1e-12, c.moves.sum()))
-            c.draw = np.cumsum(rms / max(1e-12, rms.sum()))
+            rms = np.sqrt(c.moves / max(1, c.poses))
+            often = rms / (rms + MOVING)
+            c.draw = np.cumsum(often / max(1e-12, often.sum()))
         self.starts = np.cumsum([0] + [len(c.frames) for c in self.train])
         self.poses = int(self.starts[-1])
 

@@ -1,0 +1,198 @@
+/*  bench_deformnet.c - times deformnet's network on one case, one run for each line on standard input
+    usage     bench_deformnet MODEL CASE THREADS [--write FILE]
+    --write   runs once and leaves what the other libraries need: the rows, the graph, the pairs that "rest" pooling
+              chose, and the displacement to compare with
+    otherwise prints "ready KERNEL"; then for a line "prepare" skins and describes and answers "prepared", for a line
+              "run" runs the network on those rows and answers with milliseconds. Only the network is timed */
+#define _POSIX_C_SOURCE 200809L
+#define DEFORMNET_IMPLEMENTATION
+#include "../../deformnet.h"
+#include "../common/pool.h"
+#include "../common/tensors.h"
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+typedef struct bench {
+   const char *model_path, *case_path;
+   ex_tensors *file;
+   dn_model *model;
+   dn_rig *rig;
+   ex_pool *pool;
+   dn_parallel parallel;
+   dn_pose pose;
+   void *block, *scratch;
+   size_t bytes;
+   uint32_t *pairs; /* (pair_count,2), from the probe */
+   size_t pair_count;
+} bench;
+
+static void fail(const char *path, const char *why)
+{
+   fprintf(stderr, "bench_deformnet: %s: %s\n", path, why);
+   exit(1);
+}
+
+static const void *get(const bench *b, const char *name, ex_dtype type, size_t rows, size_t columns, size_t *found)
+{
+   char error[EX_ERROR];
+   size_t sides[2];
+   const ex_tensor *t;
+   sides[0] = rows, sides[1] = columns;
+   t = ex_tensors_get(b->file, name, 2, sides, error);
+   if (!t) fail(b->case_path, error);
+   if (t->type != type) fail(b->case_path, "a tensor has an unexpected type");
+   if (found) *found = t->shape[0];
+   return t->data;
+}
+
+static void bind(bench *b)
+{
+   char error[EX_ERROR];
+   dn_error err;
+   dn_model_info info;
+   dn_rig_desc d;
+   dn_skin_set skin;
+   b->file = ex_tensors_open(b->case_path, error);
+   if (!b->file) fail(b->case_path, error);
+   b->model = dn_model_load_file(b->model_path, NULL, &err);
+   if (!b->model) fail(b->model_path, err.info);
+   dn_model_describe(b->model, &info);
+   memset(&d, 0, sizeof d);
+   memset(&skin, 0, sizeof skin);
+   d.mesh.positions = (const float *)get(b, "positions", EX_F32, 0, 3, &d.mesh.vertices);
+   d.mesh.indices = get(b, "indices", EX_I32, 0, 3, &d.mesh.triangles);
+   d.mesh.index_type = DN_U32; /* a negative index is refused as too large */
+   skin.influences = 2;
+   skin.joints = get(b, "joints", EX_I32, d.mesh.vertices, 2, NULL);
+   skin.joint_type = DN_U32;
+   skin.weights = get(b, "weights", EX_F32, d.mesh.vertices, 2, NULL);
+   skin.weight_type = DN_F32;
+   d.mesh.skin_sets = 1;
+   d.mesh.skin = &skin;
+   d.skeleton.joints = info.joints;
+   d.skeleton.names = info.joint_names;
+   d.geodesic = (const float *)get(b, "geodesic", EX_F32, d.mesh.vertices, info.joints, &d.geodesic_nodes);
+   d.parallel = &b->parallel;
+   b->rig = dn_rig_create(b->model, &d, NULL, NULL, &err);
+   if (!b->rig) fail(b->case_path, err.info);
+   memset(&b->pose, 0, sizeof b->pose);
+   b->pose.palette = (const float *)get(b, "palette", EX_F32, info.joints, 12, NULL);
+   b->pose.strength = 1.0f;
+   b->bytes = dn_scratch_size(b->rig, b->parallel.workers);
+   b->block = malloc(b->bytes + 64);
+   if (!b->block) fail(b->case_path, "out of memory");
+   b->scratch = (unsigned char *)b->block + (64 - ((uintptr_t)b->block & 63));
+}
+
+static void prepare(bench *b)
+{
+   dn_error err;
+   if (dn_stage_skin(b->rig, &b->pose, b->scratch, b->bytes, &b->parallel, &err) != DN_OK) fail(b->case_path, err.info);
+   dn_stage_rows(b->rig, b->scratch, &b->parallel);
+}
+
+static void tap(void *user, const char *name, const float *rows, size_t first, size_t count, size_t width, size_t row_stride)
+{
+   (void)user, (void)name, (void)rows, (void)first, (void)count, (void)width, (void)row_stride;
+}
+static void keep_pairs(void *user, const char *name, const uint32_t *members, const float *score, size_t count)
+{
+   bench *b = (bench *)user;
+   (void)name, (void)score;
+   b->pairs = (uint32_t *)malloc(2 * count * sizeof *b->pairs);
+   if (!b->pairs) fail(b->case_path, "out of memory");
+   memcpy(b->pairs, members, 2 * count * sizeof *b->pairs);
+   b->pair_count = count;
+}
+
+static size_t declare(ex_writer *w, const char *name, ex_dtype type, size_t rows, size_t columns)
+{
+   size_t sides[2];
+   sides[0] = rows, sides[1] = columns;
+   return ex_writer_tensor(w, name, type, columns ? 2 : 1, sides);
+}
+static void write_case(bench *b, const char *path)
+{
+   char error[EX_ERROR];
+   dn_model_info info;
+   dn_rig_view view;
+   dn_probe probe;
+   ex_writer *w = ex_writer_open(path, error);
+   size_t n, edges, id[5];
+   float *rows;
+   if (!w) fail(path, error);
+   dn_model_describe(b->model, &info);
+   dn_rig_describe(b->rig, &view);
+   n = view.nodes, edges = view.graph.first[n];
+   rows = (float *)malloc(n * info.row_width * sizeof *rows);
+   if (!rows) fail(path, "out of memory");
+   memset(&probe, 0, sizeof probe);
+   probe.tap = tap, probe.pool = keep_pairs, probe.user = b;
+   prepare(b);
+   memcpy(rows, dn_scratch_rows(b->rig, b->scratch), n * info.row_width * sizeof *rows); /* the network changes them */
+   dn_stage_network(b->rig, b->scratch, &b->parallel, &probe);
+   id[0] = declare(w, "rows", EX_F32, n, info.row_width);
+   id[1] = declare(w, "first", EX_I32, n + 1, 0);
+   id[2] = declare(w, "next", EX_I32, edges, 0);
+   id[3] = declare(w, "displacement", EX_F32, n, 3);
+   id[4] = b->pairs ? declare(w, "pairs", EX_I32, b->pair_count, 2) : 0;
+   ex_writer_put(w, id[0], 0, rows, n * info.row_width);
+   ex_writer_put(w, id[1], 0, view.graph.first, n + 1);
+   ex_writer_put(w, id[2], 0, view.graph.next, edges);
+   ex_writer_put(w, id[3], 0, dn_scratch_displacement(b->rig, b->scratch), 3 * n);
+   if (b->pairs) ex_writer_put(w, id[4], 0, b->pairs, 2 * b->pair_count);
+   if (!ex_writer_close(w, error)) fail(path, error);
+   free(rows);
+}
+
+static double now(void) /* milliseconds */
+{
+   struct timespec t;
+   clock_gettime(CLOCK_MONOTONIC, &t);
+   return 1e3 * (double)t.tv_sec + 1e-6 * (double)t.tv_nsec;
+}
+static void serve(bench *b)
+{
+   char line[32];
+   printf("ready %s\n", dn_kernel_name());
+   fflush(stdout);
+   while (fgets(line, sizeof line, stdin)) {
+      if (strcmp(line, "prepare\n") == 0) {
+         prepare(b);
+         puts("prepared");
+      } else if (strcmp(line, "run\n") == 0) {
+         double start = now();
+         dn_stage_network(b->rig, b->scratch, &b->parallel, NULL);
+         printf("%.4f\n", now() - start);
+      } else fail("standard input", "expected a line prepare or run");
+      fflush(stdout);
+   }
+}
+
+int main(int argc, char **argv)
+{
+   bench b;
+   long threads = argc > 3 ? strtol(argv[3], NULL, 10) : 0;
+   int write = argc == 6 && strcmp(argv[4], "--write") == 0;
+   if (!(argc == 4 || write) || threads < 1 || threads > 256) {
+      fprintf(stderr, "usage: bench_deformnet MODEL CASE THREADS [--write FILE]\n");
+      return 2;
+   }
+   memset(&b, 0, sizeof b);
+   b.model_path = argv[1], b.case_path = argv[2];
+   b.pool = threads > 1 ? ex_pool_create((unsigned)threads) : NULL;
+   if (threads > 1 && !b.pool) fail(argv[3], "cannot start that many threads");
+   b.parallel = ex_pool_parallel(b.pool);
+   bind(&b);
+   if (write) write_case(&b, argv[5]);
+   else serve(&b);
+   free(b.pairs);
+   free(b.block);
+   dn_rig_free(b.rig);
+   dn_model_free(b.model);
+   ex_tensors_close(b.file);
+   ex_pool_free(b.pool);
+   return 0;
+}
