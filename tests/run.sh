@@ -41,7 +41,7 @@ program() # program KIND NAME ARGUMENTS...
    if [[ -x $file && $file -nt $2.c ]]; then one "$2 ($1)" "$file" "${@:3}"
    else
       echo "=== $2 ($1)"
-      echo "FAIL $2 ($1): did not build"
+      echo "FAIL $2 ($1): did not build, or its source has changed since"
       failed=$((failed + 1)) bad+=("$2 ($1)")
    fi
 }

@@ -3,7 +3,9 @@
 
 shows     where most of the training poses come from: joint ranges -> rotations -> a motion GLB
 run       python3 poses.py --ranges rom_ranges.json --skeleton any_motion.glb --count 400 --seed 1 --out rom_1.glb
+          python3 poses.py --clips walk.glb wave.glb --skeleton walk.glb --count 400 --seed 2 --out mix_2.glb
 flow      ranges (JSON) + rest skeleton (GLB) --sample, reject crossings--> rotations (frames, joints) --> GLB
+          or motion clips --each limb from another frame, mirrored or not, scaled, shaken--> the same
 
 The ranges name the left side and the middle; the right side is the mirror image, with its own random angles or, for
 a share of --symmetric, with the left side's (squats, jumps, raised arms: what both sides do together is common).
@@ -100,6 +102,49 @@ def segment_distance(a, b, c, d, n=9):
     return np.sqrt(((p[:, None] - q[None]) ** 2).sum(-1)).min()
 
 
+def clip_vectors(body, path):
+    """rotation vectors (frames, joints, 3) of a clip; joints it does not move stay at zero"""
+    raw, g = open(path, "rb").read(), read_glb(path)
+    start = 28 + struct.unpack_from("<I", raw, 12)[0]
+    anim, out = g["animations"][0], None
+    for ch in anim["channels"]:
+        joint = body.id.get(g["nodes"][ch["target"]["node"]].get("name", "").split(":")[-1])
+        if ch["target"]["path"] != "rotation" or joint is None:
+            continue
+        acc = g["accessors"][anim["samplers"][ch["sampler"]]["output"]]
+        at = start + g["bufferViews"][acc["bufferView"]].get("byteOffset", 0) + acc.get("byteOffset", 0)
+        q = np.frombuffer(raw, "<f4", 4 * acc["count"], at).reshape(-1, 4).astype(float)
+        q = q / np.linalg.norm(q, axis=1, keepdims=True) * np.where(q[:, 3:] < 0, -1, 1)
+        sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
+        out = np.zeros((len(q), len(body.names), 3)) if out is None else out
+        out[:, joint] = q[:, :3] / np.maximum(sine, 1e-9) * 2 * np.arctan2(sine, q[:, 3:])
+    return out
+
+
+def mix(body, clips, rng, low, high, shake):
+    """a pose whose trunk, arms and legs come from five frames of any of the clips"""
+    limbs = {"": [], "Arm": [], "Leg": []}
+    for name in body.short:
+        if "End" not in name and not name.startswith(("Left", "Right")):
+            limbs[""].append(name)
+        elif name.startswith("Left") and "End" not in name:
+            limbs["Leg" if any(k in name for k in ("Leg", "Foot", "Toe")) else "Arm"].append(name)
+    while True:
+        scale, rot = rng.uniform(low, high), np.tile(np.eye(3), (len(body.names), 1, 1))
+        for limb, side in (("", "Left"), ("Arm", "Left"), ("Arm", "Right"), ("Leg", "Left"), ("Leg", "Right")):
+            clip = clips[rng.integers(len(clips))]
+            frame, other = clip[rng.integers(len(clip))], rng.random() < 0.5  # other: from the other side, mirrored
+            for name in limbs[limb]:
+                here = name.replace("Left", side)
+                there = here if not other else here.replace("Left", "?").replace("Right", "Left").replace("?", "Right")
+                v = frame[body.id[there]] * ([1, -1, -1] if other else [1, 1, 1])
+                v = v * (1 if name == "Hips" else scale) + rng.normal(0, np.radians(shake), 3) * ("Hand" not in name or name == "LeftHand")
+                angle = np.linalg.norm(v)
+                rot[body.id[here]] = axis_rot(v / max(angle, 1e-9), angle)
+        if not crosses(body, rot):
+            return rot
+
+
 def crosses(body, rot):
     P, i = body.world(rot), body.id
     trunk = [("Hips", "Spine1", .17), ("Spine1", "Spine2", .18), ("Spine2", "Neck", .14), ("Neck", "HeadTop_End", .12)]
@@ -174,7 +219,9 @@ def write_glb(path, body, rots, fps=30):
 
 def main():
     ap = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    ap.add_argument("--ranges", required=True, help="joint ranges, JSON")
+    ap.add_argument("--ranges", help="joint ranges, JSON")
+    ap.add_argument("--clips", nargs="*", default=[], help="motions to recombine instead")
+    ap.add_argument("--shake", type=float, default=6, help="degrees of noise on what comes from clips")
     ap.add_argument("--skeleton", required=True, help="a GLB with the skeleton, rest rotations identity")
     ap.add_argument("--count", type=int, default=200)
     ap.add_argument("--scale", type=float, nargs=2, default=(0.45, 1), help="least and largest factor on a pose's angles")
@@ -182,9 +229,15 @@ def main():
     ap.add_argument("--seed", type=int, default=1)
     ap.add_argument("--out", required=True)
     a = ap.parse_args()
-    body, ranges = Body(a.skeleton), json.load(open(a.ranges))["joints"]
-    rng = np.random.default_rng(a.seed)
-    rots = np.stack([draw(body, ranges, rng, *a.scale, a.symmetric) for _ in range(a.count)])
+    if bool(a.ranges) == bool(a.clips):
+        ap.error("give either --ranges or --clips")
+    body, rng = Body(a.skeleton), np.random.default_rng(a.seed)
+    if a.clips:
+        clips = [clip_vectors(body, c) for c in a.clips]
+        rots = np.stack([mix(body, clips, rng, *a.scale, a.shake) for _ in range(a.count)])
+    else:
+        ranges = json.load(open(a.ranges))["joints"]
+        rots = np.stack([draw(body, ranges, rng, *a.scale, a.symmetric) for _ in range(a.count)])
     write_glb(a.out, body, rots)
     print(f"{a.out}: {a.count} poses, seed {a.seed}")
 
