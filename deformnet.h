@@ -258,9 +258,9 @@ typedef struct dn_report { /* what bind found, written when it succeeds; nothing
                ignored; a named joint that the skeleton lacks is DN_MISSING_JOINT and listed; extra joints
                still skin, and the network sees their nearest named ancestor (or joint 0) in their place.
                Without names the counts must be equal
-    errors     NULL; DN_BAD_MESH, DN_BAD_SKIN (joint index out of range, non-finite position or weight, triangle
-               index out of range, no vertices): err->offset and info name the element; DN_BAD_VALUE, DN_BAD_SHAPE
-               (a field of desc), DN_MISSING_JOINT, DN_CANCELLED, DN_NO_MEMORY: nothing is kept
+    errors     NULL; DN_BAD_MESH, DN_BAD_SKIN (joint index out of range where the weight is not 0, non-finite position or
+               weight, triangle index out of range, no vertices): err->offset and info name the element; DN_BAD_VALUE,
+               DN_BAD_SHAPE (a field of desc), DN_MISSING_JOINT, DN_CANCELLED, DN_NO_MEMORY: nothing is kept
     cost       geodesic distances dominate: S times the voxels; progress is reported there
     threads    re-entrant; desc->parallel may split the geodesic distances and the rest-pose network */
 DN_API dn_rig *dn_rig_create(const dn_model *model, const dn_rig_desc *desc, const dn_allocator *allocator,

@@ -8,6 +8,7 @@ run       make libdeformnet.so
                               on a CPU faster than two threads. torchrun --nproc_per_node 2 train.py ... is the same
                               (Debian 12's torchrun needs "-r 1 -t 1" with its Python)
           the same command again continues from model.safetensors.checkpoint
+          ... --start humanoid.safetensors                  goes on from a finished model, on your own characters and truth
 reads     DIR/*.glb           characters, bound as the header binds them
           DIR/CHARACTER__MOTION.safetensors, written by flesh:  vertices (frames,V,3) metres, palettes (frames,S,3,4),
                               settled (frames): unsettled frames are left out. New files are picked up at every epoch
@@ -71,6 +72,7 @@ def arguments():
     a("--truth", required=True, help="folder of CHARACTER__MOTION.safetensors")
     a("--out", required=True, help="model file to write")
     a("--arch", default="multiresgnet:lite", help=" ".join(nets.SIZES))
+    a("--start", default="", help="model file to start from instead of random weights: same --arch, --features and joints")
     a("--features", default="relative,normal,geodesic,distance")
     a("--frame", default="root", choices=["root", "model"])
     a("--hold-characters", default="", help="comma separated names, never trained on")
@@ -210,6 +212,8 @@ class Trainer:
         D = dn.row_width(self.features, len(self.truth.joints))
         self.net = nets.create(o.arch, D)
         self.measure()
+        if o.start:
+            self.start(o.start)
         self.net.to(self.device).train()
         self.flatten()
         self.step, self.elapsed, self.best, self.waited, self.rate = 0, 0.0, math.inf, 0, o.rate
@@ -219,6 +223,21 @@ class Trainer:
         self.averaged = torch.cat([p.data.reshape(-1) for p in self.average.parameters()])
         self.view(self.average, self.averaged)
         self.set_whiten(self.net, self.average)
+
+    def start(self, path):
+        """a finished model as the first weights, with the scales it was trained with"""
+        tensors, meta = st.load(path)
+        if meta["deformnet.features"] != self.o.features or meta["deformnet.joints"] != ",".join(self.truth.joints):
+            raise SystemExit(f"{path}: made for other features or joints than this run's")
+        state = {k: torch.from_numpy(np.array(v, np.float32)) for k, v in tensors.items()}
+        if self.whiten is not None and self.world > 1:
+            dist.broadcast(self.whiten, 0)
+        if self.whiten is not None:  # U = W whiten^-1, so that the first layer computes what it did
+            state["pre.0.weight"] = (state["pre.0.weight"].double() @ torch.inverse(self.whiten.double())).float()
+        self.net.load_state_dict(state)
+        stats = getattr(self.net, "input")
+        self.scale = np.stack([stats.mean.numpy(), 1 / stats.std.numpy()]).astype(np.float32)
+        self.say(f"starting from {path}")
 
     def say(self, *text):
         if self.rank == 0:
