@@ -165,8 +165,8 @@ class Truth:
             raise SystemExit(f"{self.o.truth}: no CHARACTER__MOTION.safetensors to train on")
         for c in self.characters.values():
             rms = np.sqrt(c.moves / max(1, c.poses))
-            often = rms / (rms + MOVING)
-            c.draw = np.cumsum(often / max(1e-12, often.sum()))
+            often = rms / (rms + MOVING) if rms.any() else np.ones(c.nodes)  # of a character at rest only: evenly
+            c.draw = np.cumsum(often / often.sum())
         self.starts = np.cumsum([0] + [len(c.frames) for c in self.train])
         self.poses = int(self.starts[-1])
 
