@@ -82,6 +82,7 @@ def arguments():
     a("--patches", type=int, default=8)
     a("--nodes", type=int, default=1536, help="of a patch")
     a("--halo", type=int, default=3)
+    a("--even", type=float, default=1.0, help="a character is drawn as often as its number of poses to this power")
     a("--resting", type=float, default=0.25, help="share of patches drawn without regard to motion")
     a("--loss", default="charbonnier", choices=["mse", "huber", "charbonnier"])
     a("--loss-scale", type=float, default=0.001, help="metres: where huber and charbonnier turn from square to linear")
@@ -167,16 +168,16 @@ class Truth:
             rms = np.sqrt(c.moves / max(1, c.poses))
             often = rms / (rms + MOVING) if rms.any() else np.ones(c.nodes)  # of a character at rest only: evenly
             c.draw = np.cumsum(often / often.sum())
-        self.starts = np.cumsum([0] + [len(c.frames) for c in self.train])
-        self.poses = int(self.starts[-1])
+        self.poses = sum(len(c.frames) for c in self.train)
+        often = [len(c.frames) * c.character.poses ** (self.o.even - 1) for c in self.train]
+        self.often = np.cumsum(often) / sum(often)
 
     def draw(self, rng, patches):
         """random poses with random seeds"""
         out = []
         for _ in range(patches):
-            k = int(rng.integers(self.poses))
-            clip = self.train[np.searchsorted(self.starts, k, "right") - 1]
-            c, frame = clip.character, clip.frames[k - self.starts[self.train.index(clip)]]
+            clip = self.train[min(int(np.searchsorted(self.often, rng.random())), len(self.train) - 1)]
+            c, frame = clip.character, clip.frames[rng.integers(len(clip.frames))]
             even = rng.random() < self.o.resting
             seed = int(rng.integers(c.nodes)) if even else min(int(np.searchsorted(c.draw, rng.random())), c.nodes - 1)
             mirror = c.mirror is not None and rng.random() < 0.5
@@ -427,7 +428,7 @@ class Trainer:
         for group, parts in groups.items():
             a, b = (np.concatenate([p[k] for p in parts]) for k in (0, 1))
             rest = a < RESTING
-            worse = max((q.mean() / p.mean() for p, q in parts), default=0)
+            worse = max((q.mean() / p.mean() for p, q in parts if p.any()), default=0)
             line[group] = (b.mean() / a.mean(), np.percentile(b, 99) / np.percentile(a, 99), float((b[rest] < RESTING).mean()))
             self.say(f"   {group}: skinning mean {100 * a.mean():.3f} cm, 99 % {100 * np.percentile(a, 99):.2f}; refined "
                      f"{line[group][0]:.3f} and {line[group][1]:.3f} of it; rest kept {line[group][2]:.1%}; worst clip {worse:.2f}")
