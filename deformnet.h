@@ -36,9 +36,10 @@
     PAPERS     T = Li, thesis on mesh deformation with GNNs; N = Neural Blend Shapes; C = Detail-Aware Deep
                Clothing. "T 3.4" is equation 3.4 there.
     ROOMS      search for the tag:
-               >>config >>types >>bind >>model >>deform >>layers >>parts                (what you call)
-               >>base >>tensors >>mesh >>skin >>geodesic >>kernels >>attention >>pooling
-               >>networks >>rig >>frame                                                (how it works)
+               >>config >>types >>bind >>model >>deform >>layers >>parts >>kit >>garments
+               >>blendshapes                                                           (what you call)
+               >>base >>tensors >>mesh >>skin >>geodesic >>kernels >>lbs >>attention >>pooling
+               >>networks >>garmentnets >>rig >>frame >>kit >>garment >>blend                (how it works)
     STUDENTS   follow the MAP through the *_ref functions; each cites its equation. Build with DN_NO_SIMD and
                they are what runs (of pooling's contraction still the fast form, tested equal to its _ref).
 */
@@ -137,9 +138,13 @@ typedef enum dn_matrix { /* how an affine matrix lies in memory; translation is 
    into the file's bytes. */
 typedef struct dn_model dn_model;
 
-typedef enum dn_arch { DN_MLP, DN_GAT, DN_NEUROSKINNING, DN_DENSEGATS, DN_MULTIRESGNET } dn_arch;
+typedef enum dn_arch {
+   DN_MLP, DN_GAT, DN_NEUROSKINNING, DN_DENSEGATS, DN_MULTIRESGNET, /* for dn_rig_create */
+   DN_GARFIT_COARSE, DN_GARFITNET, DN_CLOTHNET,                     /* for dn_garment_create */
+   DN_NEURALBLENDSHAPES                                             /* for dn_blend_create */
+} dn_arch;
 typedef enum dn_pooling { DN_POOL_DYNAMIC, DN_POOL_REST } dn_pooling;
-typedef enum dn_feature { DN_POSITION, DN_RELATIVE, DN_NORMAL, DN_GEODESIC, DN_DISTANCE } dn_feature;
+typedef enum dn_feature { DN_POSITION, DN_RELATIVE, DN_NORMAL, DN_GEODESIC, DN_DISTANCE, DN_FIT } dn_feature;
 
 typedef struct dn_model_info { /* strings and arrays belong to the model */
    dn_arch arch;
@@ -147,6 +152,10 @@ typedef struct dn_model_info { /* strings and arrays belong to the model */
    size_t row_width;                /* D */
    size_t feature_count;
    const dn_feature *features;      /* in row order */
+   size_t fit;                      /* n of "fit:n"; 0: no fit factors in the rows */
+   size_t detail_width, detail_feature_count, detail_fit; /* the same of clothnet's detail stage; 0 elsewhere */
+   const dn_feature *detail_features;
+   size_t parser;                   /* numbers that garfitnet and clothnet read of alpha, beta and theta together; 0 elsewhere */
    size_t joints;                   /* S: columns of geodesic and distance, or names; 0: none of the three */
    const char *const *joint_names;  /* (S) or NULL: joints then match by index */
    int root_frame;                  /* deformnet.frame == "root" */
@@ -534,7 +543,8 @@ DN_API void dn_forward_kinematics(const int32_t *parents, const float *offsets, 
 /*  palette entry = transform * inverse bind (T 2.1); all (S,12), 3x4 row-major; palette may be transforms */
 DN_API void dn_palette(const float *transforms, const float *inverse_bind, size_t joints, float *palette);
 /*  LBS (T 2.1) and DQS (T 2.2) of `count` points: rest (count,3), joint and weight (count,influences), each joint below
-    the palette's S; palette (S,12) row-major 3x4 -> out (count,3), which may be rest */
+    the palette's S; palette (S,12) row-major 3x4 -> out (count,3), which may be rest. dn_lbs sums in float, 1,023 points
+    and fewer in double: within 6e-8 (influences + 5) times the sum of its terms' sizes of the exact point */
 DN_API void dn_lbs(const float *rest, const uint32_t *joint, const float *weight, size_t influences, size_t count,
                    const float *palette, float *out);
 DN_API void dn_dqs(const float *rest, const uint32_t *joint, const float *weight, size_t influences, size_t count,
@@ -597,6 +607,534 @@ DN_API void dn_tensor_ints(const dn_tensor *t, size_t from, size_t count, int32_
 DN_API const char *dn_result_text(dn_result result); /* the list above; never NULL */
 DN_API const char *dn_kernel_name(void); /* "avx512", "avx2", "sse", "neon", "wasm", "reference": what packing chooses */
 
+
+/* ===================================================================================== >>kit
+   What garments and parametric bodies are made of, callable on its own under the rules of >>parts: re-entrant, no
+   allocation, packed arrays, inputs trusted, scratch 64-byte aligned, bits independent of parallel. dn_shape is the
+   exception: it comes from a file, and is checked like a model. */
+
+/*  dn_associate - the closest body node of every garment node in the rest pose, the lowest index of several (T 4.3, C 4.1)
+
+    body       (B,3), B at least 1; points (N,3), the garment's; both finite
+    nearest    (N) written
+    scratch    dn_associate_scratch(B) bytes: a grid over the body, about four cells a node
+    cost       5,000 points on 13,000 nodes: 1.4 ms; the plain twin, the specification, tries every pair
+    result     equal to the twin's */
+DN_API size_t dn_associate_scratch(size_t body_nodes);
+DN_API void dn_associate(const float *body, size_t body_nodes, const float *points, size_t count, uint32_t *nearest,
+                         void *scratch, const dn_parallel *parallel);
+DN_API void dn_associate_ref(const float *body, size_t body_nodes, const float *points, size_t count, uint32_t *nearest);
+
+/*  dn_even_selection - `wanted` nodes spread evenly over a garment (C 4.1): those at which its fit is measured
+
+    kept       going by index, a node closer than r = sqrt(area / (C wanted)) to a kept one is rejected; C = 1, 2, ...
+               until `wanted` are kept; past 4096 (coincident nodes) nothing is rejected
+    area       of the garment's surface, dn_area
+    selection  (wanted) written, ascending
+    spacing    C, may be NULL; 4097 when nothing was rejected
+    returns    DN_OK; DN_BAD_MESH when there are fewer nodes than wanted: err names both
+    scratch    dn_even_selection_scratch(nodes) bytes */
+DN_API double dn_area(const float *positions, const uint32_t *triangle, size_t triangles);
+DN_API size_t dn_even_selection_scratch(size_t nodes);
+DN_API dn_result dn_even_selection(const float *positions, size_t nodes, double area, size_t wanted, uint32_t *selection,
+                                   unsigned *spacing, void *scratch, dn_error *err);
+
+/*  dn_smooth - Laplacian smoothing (C 5.1: 40 iterations, factor 0.12): p_i += factor (mean of N(i) - p_i), all nodes at
+    once; isolated nodes stay. positions (N,3) in place; scratch (N,3) floats */
+DN_API void dn_smooth(const dn_graph *g, float *positions, unsigned iterations, float factor, float *scratch,
+                      const dn_parallel *parallel);
+
+/*  dn_factor_fit - maximum-likelihood factor analysis of a distance matrix (T 4.4, C 3; Barber, Bayesian Reasoning and
+    Machine Learning, 21.2): D - mean ~ L A, noise variances Psi. For tools: fits the alpha of garments without Python.
+
+    round      X = Psi^-1/2 (D - mean) / sqrt(pairs) = U diag(s) W;  L = Psi^1/2 U_n sqrt(max(s_n^2 - 1, 0));
+               Psi = diag(S - L L^T), never under 1e-6 of the row's variance nor 1e-12. L is the best for its Psi, and
+               Psi's step is then EM's: the likelihood never falls
+    ends       when the mean log-likelihood gains less than 1e-12 of itself, or after 20,000 rounds
+    sign       in each column of L the entry of largest magnitude is positive; factors by falling singular value
+    distances  (rows,pairs), row-major, finite: one row a measured node, one column a garment on a body
+    start      (rows) noise variances to start from, above 0; NULL: the rows' variances
+    outputs    each may be NULL; written on DN_OK and DN_CANCELLED. history: the likelihood after each round, as far as
+               it has room
+    errors     DN_BAD_SHAPE (no rows, fewer than two pairs, factors not in 1 .. min(rows, pairs)), DN_BAD_VALUE (not
+               finite, a start not above 0), DN_TOO_SMALL, DN_CANCELLED
+    cost       per round an eigendecomposition of min(rows, pairs), in double: 48 pairs 0.3 ms, 500 some 0.5 s
+    scratch    dn_factor_scratch(rows, pairs, factors) bytes; SIZE_MAX: does not fit */
+typedef struct dn_factor_desc {
+   const float *distances;
+   size_t rows, pairs, factors;
+   const float *start;
+   const dn_progress *progress; /* called every round; done is the share of 20,000 rounds: most fits end long before */
+   float *mean;                 /* (rows) */
+   float *loading;              /* (rows,factors) L */
+   float *noise;                /* (rows) Psi's diagonal */
+   float *projection;           /* (factors,rows): alpha = projection (d - mean) */
+   float *alpha;                /* (factors,pairs) of the columns themselves */
+   double *history;             /* (history_count) */
+   size_t history_count;
+   size_t rounds;               /* written */
+   double log_likelihood;       /* written: the mean over pairs */
+} dn_factor_desc;
+DN_API size_t dn_factor_scratch(size_t rows, size_t pairs, size_t factors);
+DN_API dn_result dn_factor_fit(dn_factor_desc *desc, void *scratch, size_t scratch_bytes, dn_error *err);
+/*  dn_factor_project - the run-time half: alpha = (I + L^T Psi^-1 L)^-1 L^T Psi^-1 (d - mean), one product with the stored
+    matrix (`fit.projection`, `fit.mean`). projection (factors,rows), mean and d (rows) -> alpha (factors) */
+DN_API void dn_factor_project(const float *projection, const float *mean, const float *d, size_t rows, size_t factors,
+                              float *alpha);
+
+/*  dn_surface - a posed triangle mesh that can be asked where its closest point is, and on which side one stands
+
+    positions  (V,3); triangle (T,3), T at least 1, counter-clockwise from outside; both borrowed until the last query.
+               Vertices at one place should be one vertex: a split seam counts as an open border
+    memory     dn_surface_size(V, T) bytes, 64-byte aligned; build it again when the positions have changed
+    cost       26,756 triangles: 2.3 ms to build, 3 us a query */
+typedef struct dn_surface { /* written by dn_surface_build */
+   const float *positions;
+   const uint32_t *triangle;
+   size_t vertices, triangles;
+   const uint32_t *corner_first, *corner_tri; /* (V+1), (3T): the triangles at each vertex */
+   const uint32_t *order;                     /* (T) triangles along a space-filling curve, cut evenly into leaves */
+   const float *boxes;                        /* (2 leaves,6) a binary tree: box i holds 2i and 2i+1, the root is 1 */
+   size_t leaves;                             /* a power of two */
+   float extent;                              /* the box's diagonal */
+} dn_surface;
+DN_API size_t dn_surface_size(size_t vertices, size_t triangles);
+DN_API void dn_surface_build(dn_surface *surface, const float *positions, size_t vertices, const uint32_t *triangle,
+                             size_t triangles, void *memory);
+/*  signed distance of a finite point, negative inside; closest (3) and normal (3, unit, away from the surface's inside,
+    along which the distance grows; on the surface itself the surface's normal) may be NULL. The side is told by the
+    angle-weighted normal of the closest face, edge or vertex (Baerentzen and Aanaes 2005), which is exact on a closed
+    surface; at an open border only what lies within 60 degrees under the normal is inside. _ref tries every triangle */
+DN_API float dn_surface_distance(const dn_surface *surface, const float point[3], float *closest, float *normal);
+DN_API float dn_surface_distance_ref(const dn_surface *surface, const float point[3], float *closest, float *normal);
+
+/*  dn_collide - garment vertices inside the body, or closer to it than a margin, go out along its normal to the margin
+
+    obstacles  the posed body, then the garments worn under this one, already collided: layers from inner to outer are
+               calls in that order
+    graph      one-rings of the garment, or NULL. With it the push spreads over the pushed vertices: where one must go
+               far its neighbours follow, none goes less far than it must
+    moved      only vertices that were closer than a margin; all others keep their bits
+    result     every vertex at its margins or further out, but for those squeezed where there is no such place close by
+               (between arm and chest): they end where the nearest surface is farthest, and are counted
+    positions  (V,3) in place; vertices that are not finite are left alone
+    scratch    dn_collide_scratch(V) bytes
+    cost       4,300 vertices on 26,756 triangles: 13 ms on one core */
+typedef struct dn_obstacle {
+   const dn_surface *surface;
+   float margin; /* to keep, at least 0 */
+   float reach;  /* vertices deeper inside than this are not its business; 0: no limit. For garments, which are open */
+} dn_obstacle;
+typedef struct dn_collision { /* what a pass found */
+   size_t inside;     /* vertices behind a surface */
+   size_t moved;      /* those and the ones closer than a margin */
+   size_t squeezed;   /* moved, and still closer than a margin */
+   float deepest;     /* the largest depth behind a surface before, 0 when there was none */
+   float farthest;    /* the longest way that a vertex went */
+   float left;        /* the most by which a squeezed vertex misses its margin */
+} dn_collision;
+DN_API size_t dn_collide_scratch(size_t vertices);
+DN_API void dn_collide(const dn_obstacle *obstacles, size_t count, const dn_graph *graph, float *positions, size_t vertices,
+                       dn_collision *report /* may be NULL */, void *scratch, const dn_parallel *parallel);
+
+/*  dn_shape - a mesh linear in shape coefficients: a parametric body, or a garment that follows one
+
+    tensors    template (V,3), faces (T,3) I32, shapedirs (V,3,B), weights (V,S); optional posedirs (V,3,9(S-1)),
+               looseness_dirs (V,3), parents (S) I32 (-1 for roots, else below its own index), and the joints as
+               joint_template (S,3) with joint_shapedirs (S,3,B), or as joint_regressor (S,V). Floats are F32, F16, BF16.
+               __metadata__ joint_names: a JSON list of S names. Others are ignored
+    body       v = template + shapedirs beta + looseness looseness_dirs (+ posedirs (R - I)); joints likewise, or
+               joint_regressor v, which is folded into the same two arrays at load
+    weights    negative ones count as 0, rows are normalised, an empty row is bound to joint 0
+    file, allocator, memory, errors, threads: as dn_model_load, dn_model_size and dn_model_init. V and T may be any that a
+               file holds, S and B at most DN_MAX_DIM */
+typedef struct dn_shape dn_shape;
+typedef struct dn_shape_view { /* what a shape holds; do not write; lives as long as the shape */
+   size_t vertices, triangles, coefficients, joints; /* V, T, B, S */
+   const float *rest;               /* (V,3) template */
+   const uint32_t *triangle;        /* (T,3) */
+   size_t influences;               /* I, the most joints that any vertex has */
+   const uint32_t *skin_joint;      /* (V,I) by falling weight; unused entries repeat the first, weight 0 */
+   const float *skin_weight;        /* (V,I), each row sums to one */
+   const int32_t *parents;          /* (S) or NULL */
+   const char *const *joint_names;  /* (S) or NULL */
+   const float *joint_rest;         /* (S,3) of the template, or NULL */
+   int has_looseness, has_pose_offsets;
+   size_t bytes;                    /* memory the shape occupies */
+} dn_shape_view;
+DN_API dn_shape *dn_shape_load(const void *file, size_t size, const dn_allocator *allocator, dn_error *err);
+#ifndef DN_NO_STDIO
+DN_API dn_shape *dn_shape_load_file(const char *path, const dn_allocator *allocator, dn_error *err);
+#endif
+DN_API void dn_shape_free(dn_shape *shape); /* as dn_model_free */
+DN_API dn_result dn_shape_size(const dn_tensors *file, size_t *bytes, size_t *scratch, dn_error *err);
+DN_API dn_result dn_shape_init(const dn_tensors *file, void *memory, size_t bytes, void *scratch, size_t scratch_bytes,
+                               dn_shape **shape, dn_error *err);
+DN_API void dn_shape_describe(const dn_shape *shape, dn_shape_view *view);
+/*  beta (count), count at most B, the others are 0; looseness in metres, no effect on a shape without looseness_dirs
+    positions  (V,3) written, or NULL; joints (S,3) written, or NULL; joints need has joints (joint_rest) */
+DN_API void dn_shape_evaluate(const dn_shape *shape, const float *beta, size_t count, float looseness, float *positions,
+                              float *joints, const dn_parallel *parallel);
+/*  positions += posedirs (R - I) of joints 1 .. S-1: the pose-dependent part of an SMPL-family body, at rest, before
+    skinning. rotations (S,9) local, row-major; nothing happens without posedirs */
+DN_API void dn_shape_pose_offsets(const dn_shape *shape, const float *rotations, float *positions, const dn_parallel *parallel);
+/* ===================================================================================== >>garments
+   A garment follows a body: every garment node is associated with the body node closest to it at rest, and takes that
+   node's skin weights (T 4.3, C 4.1). What is drawn is made in up to three steps, N garment nodes in each:
+
+     followed   the garment's own rest positions, skinned with the weights of their body nodes (T 2.1)
+     coarse     posed body node + coarse displacement: a garfit_coarse model (T 4.2), the coarse stage of a clothnet
+                model (C 4), or what the pose brings along; without any of them, what was followed
+     refined    coarse + displacement: a garfitnet model (T 4.3) or the detail stage of a clothnet model (C 4.4)
+
+   A dn_garment is what depends on the rest pose, the shape and the fit. Any number of threads may deform with it,
+   each with its own scratch; only dn_garment_change writes to it. */
+typedef struct dn_garment dn_garment;
+
+typedef struct dn_garment_desc { /* borrowed during bind only */
+   dn_mesh body;                 /* with skin */
+   dn_skeleton skeleton;         /* the body's */
+   dn_mesh garment;              /* skin_sets 0; a garment with several layers of cloth is one mesh or several garments */
+   const dn_model *coarse;       /* garfit_coarse, or clothnet for its coarse stage, or NULL */
+   const dn_model *refine;       /* garfitnet, or clothnet, or NULL; a clothnet here also serves as coarse where that is NULL */
+   float weld_distance;          /* as in dn_rig_desc, for both meshes */
+   const float *alpha;           /* (alphas) fit factors, finite */
+   size_t alphas;                /* at least the n of "fit:n" */
+   const float *beta;            /* (betas) shape coefficients, finite */
+   size_t betas;
+   size_t thetas;                /* numbers in dn_garment_pose.theta; alphas + betas + thetas is what the first layer that
+                                    reads them takes, 3 + 10 + 72 in the papers */
+   const float *coarse_rest;     /* (N,3) or NULL: coarse displacement of the rest pose, for a garfitnet model with "rest"
+                                    pooling whose coarse displacement comes with each pose. NULL: from the coarse model,
+                                    or the garment at rest as it is */
+   size_t coarse_rest_nodes;     /* N of that array, checked */
+   const dn_parallel *parallel;
+   const dn_progress *progress;
+} dn_garment_desc;
+
+typedef struct dn_garment_report { /* what bind found; nothing here is an error */
+   dn_report body, garment;
+   size_t body_nodes_used;         /* different body nodes that some garment node is associated with */
+   float farthest;                 /* metres from a garment node to its body node at rest, the largest */
+} dn_garment_report;
+
+/*  dn_garment_create - bind a garment to a body
+
+    desc       borrowed during the call; its models must outlive the garment
+    allocator  NULL for DN_MALLOC; used for the garment and for temporary memory
+    report     may be NULL
+    errors     NULL, as dn_rig_create; err->where says which of the two meshes. DN_UNSUPPORTED: a model of another kind;
+               DN_BAD_SHAPE: alphas, betas and thetas do not add up to what the model reads
+    cost       weld and association, near linear in both meshes; "rest" pooling runs the network once up to its pools
+    threads    re-entrant */
+DN_API dn_garment *dn_garment_create(const dn_garment_desc *desc, const dn_allocator *allocator, dn_garment_report *report,
+                                     dn_error *err);
+/*  after the last frame that uses it; NULL is allowed; does nothing to a garment made by dn_garment_init */
+DN_API void dn_garment_free(dn_garment *garment);
+/*  dn_garment_size, dn_garment_init - the same without an allocator
+
+    bytes      kept by the garment, an upper bound from the counts; scratch is needed during dn_garment_init only
+    memory     both 64-byte aligned; memory must outlive the garment, *garment lies inside it
+    errors     as dn_garment_create; DN_TOO_SMALL names both sizes; *garment is NULL then */
+DN_API dn_result dn_garment_size(const dn_garment_desc *desc, size_t *bytes, size_t *scratch, dn_error *err);
+DN_API dn_result dn_garment_init(const dn_garment_desc *desc, void *memory, size_t bytes, void *scratch,
+                                 size_t scratch_bytes, dn_garment **garment, dn_garment_report *report, dn_error *err);
+
+typedef struct dn_garment_view {   /* what a garment holds; do not write */
+   size_t vertices, nodes;         /* V and N of the garment */
+   size_t body_vertices, body_nodes, joints;
+   size_t bytes;
+   dn_graph graph;                 /* of the garment */
+   const uint32_t *node_of_vertex; /* (V) */
+   const uint32_t *first_vertex;   /* (N) */
+   const float *rest;              /* (N,3) */
+   size_t triangles;               /* those with three different nodes */
+   const uint32_t *triangle;       /* (triangles,3) node indices */
+   const uint32_t *body_node;      /* (N) the associated body node, closest at rest, the lowest index of several */
+   const uint32_t *body_node_of_vertex; /* (V of the body) */
+   const uint32_t *body_first_vertex;   /* (body nodes) */
+   const float *body_rest;         /* (body nodes,3) */
+   size_t influences;              /* I */
+   const uint32_t *skin_joint;     /* (N,I) of the associated body node */
+   const float *skin_weight;       /* (N,I) */
+   const float *alpha, *beta;      /* as bound or changed last */
+   size_t alphas, betas, thetas;
+} dn_garment_view;
+/*  fills *view; what it points to lives as long as the garment. Re-entrant, cannot fail */
+DN_API void dn_garment_describe(const dn_garment *garment, dn_garment_view *view);
+
+typedef struct dn_garment_changes { /* NULL: as it was. Counts are those of bind */
+   const float *body_positions;     size_t body_position_stride;    /* (V of the body,3) at rest; bytes, 0: 12 */
+   const float *garment_positions;  size_t garment_position_stride; /* (V,3) at rest */
+   const float *inverse_bind;       dn_matrix matrix;               /* (S) matrices, as in dn_skeleton */
+   const float *alpha;              /* (alphas) */
+   const float *beta;               /* (betas) */
+   const float *coarse_rest;        /* (N,3); once given, it stays */
+   const dn_parallel *parallel;
+} dn_garment_changes;
+/*  dn_garment_change - another shape, fit or looseness for the same two meshes
+
+    Only what depends on a change is computed again: new positions renew the association, any change renews the
+    contraction of "rest" pooling. The weld stays: a node takes the new position of its first vertex, so where the new
+    positions would weld alike, the garment is bit for bit the one that dn_garment_create would make from them.
+
+    scratch    dn_garment_change_size(garment, parallel's workers) bytes, 64-byte aligned
+    errors     DN_BAD_MESH (a position that is not finite), DN_BAD_VALUE, DN_BAD_SKIN (an inverse bind that cannot be
+               inverted), DN_TOO_SMALL: the garment is as it was
+    threads    the only call that writes to a garment: no frame of it may run meanwhile */
+DN_API size_t dn_garment_change_size(const dn_garment *garment, unsigned workers);
+DN_API dn_result dn_garment_change(dn_garment *garment, const dn_garment_changes *changes, void *scratch,
+                                   size_t scratch_bytes, dn_error *err);
+
+typedef struct dn_garment_pose {
+   const float *palette;      /* (S) matrices of the body's joints, model space */
+   dn_matrix matrix;          /* their layout */
+   const float *theta;        /* (thetas) pose parameters, axis-angle, for models that read them; NULL: zeros */
+   const float *body;         /* (V of the body,3) the posed body, if you have it (correctives, refinement), or NULL: LBS */
+   size_t body_stride;        /* bytes; 0: 12 */
+   const float *coarse_displacement; /* (N,3) from the posed body node, model space, in place of a coarse model, or NULL */
+   float strength;            /* 0 followed .. 1 refined; clamped. Zero-filled means 0! */
+} dn_garment_pose;
+
+typedef struct dn_garment_output { /* any pointer may be NULL, else (V,3) written in full; strides in bytes, 0: 12 */
+   float *positions;          size_t position_stride;     /* followed + strength (refined - followed), model space */
+   float *normals;            size_t normal_stride;       /* of those positions, unit or (0,0,0) */
+   float *coarse;             size_t coarse_stride;       /* the coarse garment */
+   float *displacement;       size_t displacement_stride; /* refined - coarse, at full strength */
+   float bounds_min[3], bounds_max[3]; /* written: box of the positions, NaN left out */
+   size_t fallback_nodes;              /* written: nodes at which a network was not finite: they take the step before */
+} dn_garment_output;
+
+/*  dn_garment_deform - one frame: follow, coarse stage, refining stage, output
+
+    scratch    dn_garment_scratch_size(garment, workers) bytes, 64-byte aligned, one per thread or job
+    parallel   NULL: this thread only. workers must not exceed what scratch was sized for
+    returns    DN_OK; DN_NOT_FINITE as dn_deform, the output is written in full either way; DN_TOO_SMALL
+    threads    re-entrant; no allocation, no I/O, no globals; bits independent of parallel */
+DN_API dn_result dn_garment_deform(const dn_garment *garment, const dn_garment_pose *pose, dn_garment_output *out,
+                                   void *scratch, size_t scratch_bytes, const dn_parallel *parallel, dn_error *err);
+DN_API size_t dn_garment_scratch_size(const dn_garment *garment, unsigned workers); /* SIZE_MAX: does not fit */
+/*  the same as an allocated block, as dn_scratch_create; give it back with dn_scratch_free */
+DN_API void *dn_garment_scratch_create(const dn_garment *garment, unsigned workers, const dn_allocator *allocator,
+                                       size_t *bytes, dn_error *err);
+
+/*  The four steps of dn_garment_deform, to be called once a frame in this order with the same garment, pose, scratch
+    and number of workers; dn_garment_deform is exactly these four.
+
+    follow     palette, posed body; the one that checks scratch_bytes: go on only after DN_OK
+    coarse     the coarse garment. probe: NULL, or it sees the feature rows ("features", in a clothnet model
+               "coarse.features") and every block by tensor name, called on this thread
+    refine     displacement, and the refined garment at the pose's strength. probe likewise ("detail.features")
+    output     the caller's arrays, from dn_garment_nodes.refined as it is then */
+DN_API dn_result dn_garment_stage_follow(const dn_garment *garment, const dn_garment_pose *pose, void *scratch,
+                                         size_t scratch_bytes, const dn_parallel *parallel, dn_error *err);
+DN_API void dn_garment_stage_coarse(const dn_garment *garment, const dn_garment_pose *pose, void *scratch,
+                                    const dn_parallel *parallel, const dn_probe *probe);
+DN_API void dn_garment_stage_refine(const dn_garment *garment, const dn_garment_pose *pose, void *scratch,
+                                    const dn_parallel *parallel, const dn_probe *probe);
+DN_API dn_result dn_garment_stage_output(const dn_garment *garment, const dn_garment_pose *pose, dn_garment_output *out,
+                                         void *scratch, const dn_parallel *parallel, dn_error *err);
+typedef struct dn_garment_nodes {     /* what the stages left in scratch, model space, until the next call that uses it */
+   const float *followed;             /* (N,3) after follow */
+   const float *coarse;               /* (N,3) after coarse */
+   const float *coarse_displacement;  /* (N,3) after coarse: coarse - posed body node */
+   const float *displacement;         /* (N,3) after refine, at full strength */
+   float *refined;                    /* (N,3) after refine, at the pose's strength; yours to move before output: what a
+                                         collision pass does here reaches every vertex of the node and its normal */
+} dn_garment_nodes;
+DN_API dn_garment_nodes dn_garment_nodes_of(const dn_garment *garment, void *scratch);
+
+/*  dn_decompose - output decomposition (T 4.8-4.10): y_i = relu(length_i) g_i / |g_i|, g = tanh(direction)
+
+    direction (count,3), length (count) as the last layers give them; y (count,3), which may be direction;
+    |g| < 1e-12 gives (0,0,0) */
+DN_API void dn_decompose(const float *direction, const float *length, size_t count, float *y);
+
+
+/* ===================================================================================== >>blendshapes
+   Neural Blend Shapes (N): from one unrigged T-pose mesh and a "neuralblendshapes" model, once per character, skin
+   weights, a skeleton and corrective shapes; per frame, how much of each shape a pose asks for. First the layers, to
+   compose your own, with the contract of >>layers; then dn_blend, which is all of them in order. */
+#define DN_NO_EDGE 0xffffffffu
+
+typedef struct dn_edges {  /* a mesh's edges as MeshCNN numbers them (Hanocka 2019, spec section 4) */
+   size_t nodes, count;    /* N, E */
+   const uint32_t *ends;   /* (E,2) smaller node first; edges in order of first appearance over triangles, corners
+                              (0,1), (1,2), (2,0) */
+   const uint32_t *ring;   /* (E,4) a b c d: going round the first triangle from the edge, then round the second;
+                              DN_NO_EDGE where there is none */
+   const uint32_t *first;  /* (N+1) */
+   const uint32_t *at;     /* (2E) at[first[i]] .. at[first[i+1]-1]: the edges of node i, ascending */
+   size_t skipped;         /* triangles left out */
+} dn_edges;
+/*  dn_edges_build - edges, four-rings and the edges of every node
+
+    triangle   (T,3) node indices < nodes; positions (nodes,3). Skipped: triangles of exactly zero area, and those that
+               would use a directed edge of an earlier kept triangle a second time; so an edge has one triangle or two
+    written    ends (cap,2), ring (cap,4), first (nodes+1), at (2 cap); cap = 3 T is always enough
+    skipped    NULL, or (T): the skipped triangles, ascending, as many as edges->skipped
+    scratch    dn_edges_scratch(nodes, T) bytes; SIZE_MAX: does not fit */
+DN_API size_t dn_edges_scratch(size_t nodes, size_t triangles);
+DN_API void dn_edges_build(const float *positions, const uint32_t *triangle, size_t triangles, size_t nodes, uint32_t *ends,
+                           uint32_t *ring, uint32_t *first, uint32_t *at, uint32_t *skipped, dn_edges *edges, void *scratch);
+/*  y_e = (v_i + v_j) / 2 over the ends of e: v (N,width) -> y (E,width) */
+DN_API void dn_vertex_to_edge(const dn_edges *edges, const float *v, size_t v_stride, size_t width, float *y, size_t y_stride,
+                              const dn_parallel *parallel);
+/*  y_i = the mean of x_e over the edges of i, 0 when it has none: x (E,width) -> y (N,width) */
+DN_API void dn_edge_to_vertex(const dn_edges *edges, const float *x, size_t x_stride, size_t width, float *y, size_t y_stride,
+                              const dn_parallel *parallel);
+
+/*  dn_meshconv - MeshCNN convolution: y_e = act(bn(W [x_e, x_a + x_c, x_b + x_d, |x_a - x_c|, |x_b - x_d|] + b)), rows of
+    missing neighbours zero. The rows of five are built a tile at a time; sums of 16 terms in float are added in double. */
+typedef struct dn_meshconv {
+   size_t in, out;
+   dn_activation activation;
+   const float *panels; /* (ceil(out/16) 16, 5 in) in the order the kernels read them */
+   const float *bias;   /* (ceil(out/16) 16), zero padded */
+   const float *zero;   /* (64) */
+   dn_kernel kernel;
+} dn_meshconv;
+/*  bytes for dn_meshconv_pack; 0 when a size is 0 or the product does not fit */
+DN_API size_t dn_meshconv_size(size_t in, size_t out);
+/*  weight (out,in,1,5); bias (out) or NULL; bn over out channels or NULL; memory 64-byte aligned, kept by the layer */
+DN_API void dn_meshconv_pack(dn_meshconv *layer, size_t in, size_t out, const float *weight, const float *bias,
+                             const dn_batchnorm *bn, dn_activation activation, void *memory);
+/*  bytes for up to that many workers (0 counts as 1), 64-byte aligned */
+DN_API size_t dn_meshconv_scratch(const dn_meshconv *layer, unsigned workers);
+/*  x (E,in) -> y (E,out), strides in floats; y must not overlap x */
+DN_API void dn_meshconv_ref(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
+                            size_t y_stride);
+DN_API void dn_meshconv_run(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
+                            size_t y_stride, void *scratch, const dn_parallel *parallel);
+
+/*  channel pool (N table 5): in place, the first channels / 5 channels become their maximum over all rows */
+DN_API void dn_channel_pool(float *x, size_t x_stride, size_t rows, size_t channels, const dn_parallel *parallel);
+/*  softmax over each row, in place */
+DN_API void dn_edge_softmax(float *x, size_t x_stride, size_t rows, size_t width, const dn_parallel *parallel);
+/*  skinning-based pooling: y_j = sum_e A_ej x_e / sum_e A_ej, a sum under 1e-10 counts as 1                N 1
+    attention (E,J), x (E,width) -> y (J,width), packed; sums in double */
+DN_API void dn_skinning_pool(const float *attention, size_t joints, const float *x, size_t x_stride, size_t edges, size_t width,
+                             float *y, const dn_parallel *parallel);
+
+/*  dn_skeleton_linear - skeleton-aware layer: y = act(W x + b) over the rows of all joints, joint after joint, in which a
+    joint sees only those at most 2 steps from it in the tree. Only these blocks of W are kept: 122 of 24 x 24 for SMPL's
+    skeleton. What W has elsewhere is not even read. Sums are taken in double. */
+typedef struct dn_skeleton_linear {
+   size_t joints, in, out;  /* J; widths per joint */
+   dn_activation activation;
+   const uint32_t *first;   /* (J+1) */
+   const uint32_t *sees;    /* (first[J]) sees[first[j]] ..: the joints within 2 steps of j, itself too, ascending */
+   const float *weight;     /* (out, (first[j+1]-first[j]) in) of each joint in turn; joint j's starts at out in first[j] */
+   const float *bias;       /* (J out) */
+} dn_skeleton_linear;
+/*  parents (J), -1 for roots, else below J. 0 when a size is 0 or does not fit */
+DN_API size_t dn_skeleton_linear_size(const int32_t *parents, size_t joints, size_t in, size_t out);
+/*  weight (J out, J in) row-major; bias (J out) or NULL; any activation but softmax; memory is kept by the layer */
+DN_API void dn_skeleton_linear_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in, size_t out,
+                                    const float *weight, const float *bias, dn_activation activation, void *memory);
+/*  x (J in) -> y (J out); y must not overlap x. The twin reads the whole matrix and skips what the tree forbids */
+DN_API void dn_skeleton_linear_ref(const int32_t *parents, size_t joints, size_t in, size_t out, const float *weight,
+                                   const float *bias, dn_activation activation, const float *x, float *y);
+DN_API void dn_skeleton_linear_run(const dn_skeleton_linear *layer, const float *x, float *y, const dn_parallel *parallel);
+
+/* --- a character. Immutable once made: any number of threads may pose it, each with its own scratch. */
+typedef struct dn_blend dn_blend;
+
+typedef struct dn_blend_desc {  /* borrowed during the call */
+   dn_mesh mesh;                /* T-pose, in the placement and unit the model was trained on; its skin is not read */
+   float weld_distance;         /* vertices at most this far apart are one node; 0: equal positions */
+   const dn_parallel *parallel;
+   const dn_progress *progress; /* between layers and between pieces of the wide ones */
+   const dn_probe *probe;       /* NULL, or its tap sees every block by tensor name ("geo.2", "attention"), for tests:
+                                   slower, and one more buffer as wide as geo2's last layer */
+} dn_blend_desc;
+
+typedef struct dn_blend_view {   /* what it holds; do not write. What it points to lives as long as the blend */
+   size_t vertices, nodes, edges; /* V, N, E */
+   size_t joints, shapes;        /* S, and B of every joint but the root */
+   size_t bytes;
+   size_t seams_welded;          /* vertices that joined an earlier one */
+   size_t skipped_triangles;     /* as dn_edges_build */
+   size_t isolated_nodes;        /* without edges: all on joint 0, no shapes */
+   const uint32_t *node_of_vertex; /* (V) */
+   const uint32_t *first_vertex; /* (N) */
+   const float *rest;            /* (N,3) */
+   const float *skin_weight;     /* (N,S) rows sum to one within rounding */
+   const int32_t *parents;       /* (S) -1 for joint 0; parents come before children */
+   const float *joint_offset;    /* (S,3) from the parent; the root's: its position */
+   const float *joint_rest;      /* (S,3) positions; rest rotations are the identity */
+   const float *shape;           /* (N,B,3) */
+   const uint32_t *mask_first;   /* (N+1) */
+   const uint32_t *mask_joint;   /* mask_joint[mask_first[i]] ..: the joints, never 0, that act on node i, ascending    N 5 */
+   const char *const *joint_names; /* (S) the model's, or NULL */
+} dn_blend_view;
+
+/*  dn_blend_create - rig an unrigged mesh: weights, skeleton, shapes and masks (N 1-5)
+
+    model      a neuralblendshapes one; must outlive the blend
+    errors     NULL; DN_UNSUPPORTED (another kind of model: the text says which call takes it), DN_BAD_MESH (no vertices, an
+               index out of range, a position that is not finite), DN_BAD_VALUE (weld_distance; or what came out is not
+               finite), DN_CANCELLED, DN_NO_MEMORY: nothing is kept. A mesh without edges is legal: all on joint 0
+    cost       full size: 2.7 M multiplications an edge, three edges a vertex
+    memory     full size, closed mesh of 12,000 vertices: 98 MB while it runs, beside the model; 4 MB kept. Layer by layer over
+               all edges, so two rows of 256 and a slice of 64 channels an edge; rows of 512 + 24 are never whole
+    threads    re-entrant; the same bits for every desc->parallel */
+DN_API dn_blend *dn_blend_create(const dn_model *model, const dn_blend_desc *desc, const dn_allocator *allocator,
+                                 dn_error *err);
+/*  after the last frame; NULL is allowed; does nothing to one made by dn_blend_init, whose memory is yours */
+DN_API void dn_blend_free(dn_blend *blend);
+/*  dn_blend_size, dn_blend_init - the same without an allocator
+
+    bytes      kept; scratch is needed during dn_blend_init only. Both are bounds from the counts: 3 T edges, of which a
+               closed mesh has half
+    memory     both 64-byte aligned; memory must outlive the blend, *blend lies inside it
+    errors     as dn_blend_create; DN_TOO_SMALL names both sizes; *blend is NULL then */
+DN_API dn_result dn_blend_size(const dn_model *model, const dn_blend_desc *desc, size_t *bytes, size_t *scratch,
+                               dn_error *err);
+DN_API dn_result dn_blend_init(const dn_model *model, const dn_blend_desc *desc, void *memory, size_t bytes, void *scratch,
+                               size_t scratch_bytes, dn_blend **blend, dn_error *err);
+/*  fills *view. Re-entrant, cannot fail */
+DN_API void dn_blend_describe(const dn_blend *blend, dn_blend_view *view);
+
+/*  dn_blend_coefficients - alpha_ij of a pose: per joint but the root, an MLP on its local rotation minus the identity
+
+    rotations     (S,9) local, row-major
+    coefficients  (S-1,B): row J is joint J+1
+    scratch       dn_blend_scratch_size bytes
+    threads       re-entrant; no allocation, as everything below */
+DN_API void dn_blend_coefficients(const dn_blend *blend, const float *rotations, float *coefficients, void *scratch);
+/*  sum_j sum_i alpha_ij m_j B_i of every vertex (N 5), rest space: -> displacement (V,3), stride in bytes, 0: 12 */
+DN_API void dn_blend_displace(const dn_blend *blend, const float *coefficients, float *displacement, size_t stride,
+                              const dn_parallel *parallel);
+/*  m_j B_i as a morph target: what coefficient row joint - 1, column shape weighs. offsets (V,3), stride in bytes, 0: 12;
+    returns how many vertices it moves; offsets NULL: only that */
+DN_API size_t dn_blend_morph(const dn_blend *blend, size_t joint, size_t shape, float *offsets, size_t stride);
+
+typedef struct dn_blend_input {
+   const float *rotations;     /* (S,9) local, row-major, or NULL: */
+   const float *axis_angle;    /* (S,3) local; both NULL: the rest pose */
+   const float *translation;   /* (3) moves the character as a whole, or NULL */
+   const float *coefficients;  /* (S-1,B), or NULL: dn_blend_coefficients of the rotations */
+   float strength;             /* 0 plain skinning .. 1 the full displacement; clamped. Zero-filled means 0! */
+} dn_blend_input;
+typedef struct dn_blend_output { /* any pointer may be NULL; strides in bytes, 0: 12 */
+   float *positions;     size_t position_stride;     /* (V,3) */
+   float *displacement;  size_t displacement_stride; /* (V,3) times strength, rest space: before skinning */
+   float *coefficients;  /* (S-1,B) */
+   float *palette;       /* (S,12) 3x4 row-major: joint transform times inverse bind */
+} dn_blend_output;
+/*  dn_blend_pose - one frame: coefficients, displacement, LBS with the predicted weights and skeleton
+
+    scratch    dn_blend_scratch_size(blend) bytes, 64-byte aligned
+    returns    DN_OK; DN_NOT_FINITE when a rotation or coefficient was not (the identity, or 0, stands in: the output is
+               written in full); DN_TOO_SMALL: nothing is written
+    equation   p = sum_s w_s P_s [v + strength sum_j sum_i alpha_ij m_j B_i; 1] + translation                     N 2, 3, 5
+    threads    re-entrant; no allocation; bits independent of parallel */
+DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, const dn_blend_output *out, void *scratch,
+                               size_t scratch_bytes, const dn_parallel *parallel, dn_error *err);
+DN_API size_t dn_blend_scratch_size(const dn_blend *blend);
+/*  the same as an allocated block, given back by dn_scratch_free(scratch, *bytes, allocator); NULL and DN_NO_MEMORY */
+DN_API void *dn_blend_scratch_create(const dn_blend *blend, const dn_allocator *allocator, size_t *bytes, dn_error *err);
 #endif /* DEFORMNET_H */
 
 #if defined(DEFORMNET_IMPLEMENTATION) && !defined(DN__IMPLEMENTED)
@@ -1502,6 +2040,17 @@ static const char *dn__name_core(const char *name) /* "mixamorig:Hips", "Armatur
 }
 static int dn__name_equal(const char *a, const char *b) { return strcmp(a, b) == 0; } /* take the cores first */
 
+/* --- progress inside a loop: work counts what was done since the callback was asked last. Non-zero: cancelled */
+#ifndef DN__TICK
+   #define DN__TICK ((size_t)1 << 14) /* steps of some ten nanoseconds */
+#endif
+static int dn__ask(const dn_progress *p, const char *stage, double done, size_t *work)
+{
+   if (*work < DN__TICK) return 0;
+   *work = 0;
+   return p && p->step && p->step(p->user, stage, (float)done) != 0;
+}
+
 /* --- weld. A hash grid from place to the nodes there. With distance 0 a "cell" is one exact position; else cells are
    a hair wider than the distance, so that everything in reach lies in the 27 cells around a vertex. */
 typedef struct dn__weld_grid {
@@ -1576,15 +2125,16 @@ DN_API size_t dn_weld_scratch(size_t vertices)
    dn__weld_layout(&a, vertices);
    return dn__gauge(&a);
 }
-DN_API size_t dn_weld(const float *positions, size_t vertices, const uint32_t *joints, const float *weights,
-                      size_t influences, float distance, uint32_t *node_of_vertex, uint32_t *first_vertex, size_t *apart,
-                      void *scratch)
+/* dn_weld; SIZE_MAX when cancelled */
+static size_t dn__weld(const float *positions, size_t vertices, const uint32_t *joints, const float *weights, size_t influences,
+                       float distance, uint32_t *node_of_vertex, uint32_t *first_vertex, size_t *apart, void *scratch,
+                       const dn_progress *progress)
 {
    dn__arena arena = dn__arena_of(scratch, SIZE_MAX);
    dn__weld_grid grid = dn__weld_layout(&arena, vertices);
    double reach = distance > 0.0f ? (double)distance : 0.0;
    double cell = reach * 1.0001; /* the hair covers the rounding of position / cell */
-   size_t nodes = 0, left_apart = 0, v;
+   size_t nodes = 0, left_apart = 0, work = 0, v;
    DN_ASSERT(vertices < DN__NONE && scratch && node_of_vertex && first_vertex);
    memset(grid.head, 0xff, (grid.mask + 1) * sizeof *grid.head);
 
@@ -1594,10 +2144,11 @@ DN_API size_t dn_weld(const float *positions, size_t vertices, const uint32_t *j
       uint32_t best = DN__NONE;
       int seen_apart = 0, k, around = reach > 0.0 ? 27 : 1;
       size_t home_bucket;
+      if (dn__ask(progress, "weld", (double)v / (double)vertices, &work)) return SIZE_MAX;
       for (k = 0; k < 3; k++) home[k] = reach > 0.0 ? dn__floor((double)p[k] / cell) : (double)p[k];
       home_bucket = dn__hash3(home) & grid.mask;
 
-      for (k = 0; k < around; k++) {
+      for (k = 0; k < around; k++, work++) {
          size_t bucket = home_bucket;
          uint32_t n;
          if (around > 1) {
@@ -1608,7 +2159,7 @@ DN_API size_t dn_weld(const float *positions, size_t vertices, const uint32_t *j
             bucket = dn__hash3(c) & grid.mask;
          }
          /* the earliest node of all cells wins, so a chain is done once it has passed the best so far */
-         for (n = grid.head[bucket]; n != DN__NONE && n < best; n = grid.next[n]) {
+         for (n = grid.head[bucket]; n != DN__NONE && n < best; n = grid.next[n], work++) {
             size_t u = first_vertex[n];
             const float *q = positions + 3 * u;
             double x = (double)p[0] - (double)q[0], y = (double)p[1] - (double)q[1], z = (double)p[2] - (double)q[2];
@@ -1633,6 +2184,12 @@ DN_API size_t dn_weld(const float *positions, size_t vertices, const uint32_t *j
    if (apart) *apart = left_apart;
    return nodes;
 }
+DN_API size_t dn_weld(const float *positions, size_t vertices, const uint32_t *joints, const float *weights,
+                      size_t influences, float distance, uint32_t *node_of_vertex, uint32_t *first_vertex, size_t *apart,
+                      void *scratch)
+{
+   return dn__weld(positions, vertices, joints, weights, influences, distance, node_of_vertex, first_vertex, apart, scratch, NULL);
+}
 
 /* --- one-rings. Directed edges are dropped into rows by their source, in any order and with repeats; transposing
    those rows visits sources in ascending order, and as every edge is there both ways the transpose IS the graph,
@@ -1644,45 +2201,53 @@ DN_API size_t dn_graph_scratch(size_t nodes, size_t triangles)
    dn__take(&a, dn__mul(triangles, 6), sizeof(uint32_t));
    return dn__gauge(&a);
 }
-DN_API void dn_graph_build(const uint32_t *triangle, size_t triangles, size_t nodes, uint32_t *first, uint32_t *next,
-                           dn_graph *g, void *scratch)
+/* dn_graph_build; non-zero when cancelled */
+static int dn__graph_build(const uint32_t *triangle, size_t triangles, size_t nodes, uint32_t *first, uint32_t *next,
+                           dn_graph *g, void *scratch, const dn_progress *progress)
 {
    dn__arena arena = dn__arena_of(scratch, SIZE_MAX);
    uint32_t *cursor = (uint32_t *)dn__take(&arena, nodes + 1, sizeof(uint32_t));
    uint32_t *loose = (uint32_t *)dn__take(&arena, 6 * triangles, sizeof(uint32_t)); /* neighbours, unsorted, repeated */
    uint32_t total = 0;
-   size_t t, i, from, e;
+   size_t t, i, from, e, work = 0;
    int c;
    DN_ASSERT(nodes < DN__NONE && triangles < DN__NONE / 6);
 
    memset(first, 0, (nodes + 1) * sizeof *first);
-   for (t = 0; t < triangles; t++)
+   for (t = 0; t < triangles; t++, work++) {
+      if (dn__ask(progress, "graph", 0.25 * (double)t / (double)triangles, &work)) return 1;
       for (c = 0; c < 3; c++) {
          uint32_t a = triangle[3 * t + (size_t)c], b = triangle[3 * t + (size_t)(c == 2 ? 0 : c + 1)];
          DN_ASSERT(a < nodes);
          if (a != b) first[a]++, first[b]++;
       }
+   }
    for (i = 0; i < nodes; i++) { /* counts -> row starts */
       uint32_t count = first[i];
       cursor[i] = first[i] = total;
       total += count;
    }
    first[nodes] = total;
-   for (t = 0; t < triangles; t++)
+   for (t = 0; t < triangles; t++, work++) {
+      if (dn__ask(progress, "graph", 0.25 + 0.25 * (double)t / (double)triangles, &work)) return 1;
       for (c = 0; c < 3; c++) {
          uint32_t a = triangle[3 * t + (size_t)c], b = triangle[3 * t + (size_t)(c == 2 ? 0 : c + 1)];
          if (a != b) loose[cursor[a]++] = b, loose[cursor[b]++] = a;
       }
+   }
    memcpy(cursor, first, nodes * sizeof *first);
-   for (i = 0; i < nodes; i++) /* transpose; a repeat follows its twin directly */
-      for (e = first[i]; e < first[i + 1]; e++) next[cursor[loose[e]]++] = (uint32_t)i;
+   for (i = 0; i < nodes; i++) { /* transpose; a repeat follows its twin directly */
+      if (dn__ask(progress, "graph", 0.5 + 0.25 * (double)i / (double)nodes, &work)) return 1;
+      for (e = first[i]; e < first[i + 1]; e++, work++) next[cursor[loose[e]]++] = (uint32_t)i;
+   }
 
    total = 0; /* drop the repeats, rows sliding down in place */
    from = 0;
    for (i = 0; i < nodes; i++) {
       size_t end = first[i + 1];
       uint32_t start = total;
-      for (e = from; e < end; e++)
+      if (dn__ask(progress, "graph", 0.75 + 0.25 * (double)i / (double)nodes, &work)) return 1;
+      for (e = from; e < end; e++, work++)
          if (total == start || next[total - 1] != next[e]) next[total++] = next[e];
       first[i] = start;
       from = end;
@@ -1691,6 +2256,12 @@ DN_API void dn_graph_build(const uint32_t *triangle, size_t triangles, size_t no
    g->nodes = nodes;
    g->first = first;
    g->next = next;
+   return 0;
+}
+DN_API void dn_graph_build(const uint32_t *triangle, size_t triangles, size_t nodes, uint32_t *first, uint32_t *next,
+                           dn_graph *g, void *scratch)
+{
+   (void)dn__graph_build(triangle, triangles, nodes, first, next, g, scratch, NULL);
 }
 
 static size_t dn__isolated_nodes(const dn_graph *g)
@@ -2028,7 +2599,7 @@ static void dn__lbs_point(const uint32_t *joint, const float *weight, size_t inf
    dn__lbs_blend_double(joint, weight, influences, palette, m);
    dn__transform_double(m, rest, out);
 }
-/* points begin..end; row v of joint and weight belongs to point v */
+/* points begin..end; row v of joint and weight belongs to point v. >>lbs has the fast texts, and dn_lbs */
 static void dn__lbs_range(const float *rest, const uint32_t *joint, const float *weight, size_t influences,
                           const float *palette, size_t begin, size_t end, float *out)
 {
@@ -2039,11 +2610,6 @@ static void dn__lbs_range(const float *rest, const uint32_t *joint, const float 
       dn__lbs_point(joint + influences * v, weight + influences * v, influences, palette, rest + 3 * v, p);
       for (k = 0; k < 3; k++) out[3 * v + (size_t)k] = (float)p[k];
    }
-}
-DN_API void dn_lbs(const float *rest, const uint32_t *joint, const float *weight, size_t influences, size_t count,
-                   const float *palette, float *out)
-{
-   dn__lbs_range(rest, joint, weight, influences, palette, 0, count, out);
 }
 
 /* --- DQS. A dual quaternion is 8 floats: real w x y z, dual w x y z; dual = (0, t) real / 2. */
@@ -2447,16 +3013,21 @@ static void dn__mark_triangle(dn__voxels *v, const float *positions, const uint3
          }
       }
 }
-/* Everything the outside cannot reach by faces is solid; then ids. Cells with a node are solid even without a triangle. */
-static void dn__voxelise(dn__voxels *v, const float *positions, size_t nodes, const uint32_t *triangle, size_t triangles)
+/* Everything the outside cannot reach by faces is solid; then ids. Cells with a node are solid even without a triangle.
+   Non-zero when cancelled */
+static int dn__voxelise(dn__voxels *v, const float *positions, size_t nodes, const uint32_t *triangle, size_t triangles,
+                        const dn_progress *progress, const char *stage)
 {
-   size_t stride[3], i, k, head = 0, tail = 0, c[3], block[3];
+   size_t stride[3], i, k, head = 0, tail = 0, c[3], block[3], work = 0;
    uint32_t *queue = v->id_of; /* not yet in use */
    stride[0] = 1;
    stride[1] = v->n[0];
    stride[2] = v->n[0] * v->n[1];
    memset(v->solid, 0, v->cells);
-   for (i = 0; i < triangles; i++) dn__mark_triangle(v, positions, triangle + 3 * i);
+   for (i = 0; i < triangles; i++, work += 8) {
+      if (dn__ask(progress, stage, 0.0, &work)) return 1;
+      dn__mark_triangle(v, positions, triangle + 3 * i);
+   }
    for (i = 0; i < nodes; i++) {
       float p[3];
       size_t at = 0;
@@ -2468,6 +3039,7 @@ static void dn__voxelise(dn__voxels *v, const float *positions, size_t nodes, co
    queue[tail++] = 0;
    while (head < tail) {
       size_t at = queue[head++];
+      if (work++, dn__ask(progress, stage, 0.0, &work)) return 1;
       c[0] = at % stride[1];
       c[1] = at / stride[1] % v->n[1];
       c[2] = at / stride[2];
@@ -2484,6 +3056,7 @@ static void dn__voxelise(dn__voxels *v, const float *positions, size_t nodes, co
       for (block[1] = 0; block[1] < v->b[1]; block[1]++)
          for (block[0] = 0; block[0] < v->b[0]; block[0]++) {
             size_t end[3], start = v->count;
+            if (work += 64, dn__ask(progress, stage, 0.0, &work)) return 1;
             for (k = 0; k < 3; k++) end[k] = dn__min((block[k] + 1) * DN__BLOCK, v->n[k]);
             for (c[2] = block[2] * DN__BLOCK; c[2] < end[2]; c[2]++)
                for (c[1] = block[1] * DN__BLOCK; c[1] < end[1]; c[1]++)
@@ -2505,6 +3078,7 @@ static void dn__voxelise(dn__voxels *v, const float *positions, size_t nodes, co
       for (k = 0; k < 3; k++) at += stride[k] * dn__clamp_cell((double)p[k], v->n[k]);
       v->node_id[i] = v->id_of[at];
    }
+   return 0;
 }
 
 /* --- line of sight: does the segment a b, both ends in the grid, stay in solid cells? A step over an edge or a corner
@@ -3000,7 +3574,7 @@ static dn_result dn__geodesic_all(dn__voxels *v, dn__arena *arena, dn__geodesic_
    unsigned w, workers = dn__workers(parallel);
    size_t batch = workers > 1 ? 4 * (size_t)workers : 1, done = 0;
    if (progress && progress->step && progress->step(progress->user, stage, 0.0f)) return DN_CANCELLED;
-   dn__voxelise(v, job->mesh.positions, job->mesh.nodes, job->mesh.triangle, job->mesh.triangles);
+   if (dn__voxelise(v, job->mesh.positions, job->mesh.nodes, job->mesh.triangle, job->mesh.triangles, progress, stage)) return DN_CANCELLED;
    for (w = 0; w < workers; w++) job->front[w] = dn__front_layout(arena, v->count, v->blocks_used);
    if (arena->used > arena->size) return DN_TOO_SMALL;
    if (job->mesh.nodes == 0) return DN_OK; /* no solid, nothing to measure */
@@ -3751,6 +4325,10 @@ static void dn__cpuid(unsigned leaf, unsigned out[4])
    int r[4];
    __cpuidex(r, (int)leaf, 0);
    memcpy(out, r, 16);
+   #elif defined(__x86_64__)
+   /* not cpuid.h's macro: clang 14's may put %1 into the register of the leaf (no early clobber) */
+   __asm__ __volatile__("xchgq %%rbx, %q1\n\tcpuid\n\txchgq %%rbx, %q1"
+                        : "=a"(out[0]), "=&r"(out[1]), "=c"(out[2]), "=d"(out[3]) : "0"(leaf), "2"(0));
    #else
    __cpuid_count(leaf, 0, out[0], out[1], out[2], out[3]);
    #endif
@@ -3927,6 +4505,218 @@ DN_API void dn_linear_run(const dn_linear *layer, const float *x, size_t x_strid
    job.x_stride = x_stride;
    job.y_stride = y_stride;
    dn__for(parallel, rows, DN__GRAIN, dn__linear_range, &job);
+}
+
+/* ===================================================================================== >>lbs
+   in       rest points, joints and weights (V,I), palette (S,12)     out   skinned points (V,3), which may be the rest points
+   touches  the output range it is given, nothing else
+   paper    T 2.1. dn__lbs_range in >>skin is the specification and sums in double, which the network's rows need; vertices
+            to be drawn do not, and these sum in float: three units in the last place of the largest product at most
+   order    p = (w_0 P_0 + w_1 P_1 + ..) [x y z 1], each row (m0 x + m2 z) + (m1 y + m3). Every point stands for itself: it
+            has the same bits wherever a range begins or ends
+   read     dn__lbs_run, dn__lbs_f4 */
+
+#ifdef DN__HAS_AVX512
+/* Rows 0, 1, 2 of a joint fill three quarters of a register. Result: point k's blended rows times x y z 1, the coordinates
+   taken from p = x0 y0 z0 x1 .. */
+DN__TARGET_AVX512 static DN__INLINE __m512 dn__lbs_terms_avx512(__m512 p, int k, const uint32_t *joint, const float *weight,
+                                                                size_t influences, const float *palette, size_t entry)
+{
+   const __m512i spread = _mm512_maskz_add_epi32(DN__ALL, _mm512_set1_epi32(3 * k),
+                                                   _mm512_setr_epi32(0, 1, 2, 0, 0, 1, 2, 0, 0, 1, 2, 0, 0, 1, 2, 0));
+   __m512 m;
+   size_t i;
+#define DN__TERM(i) _mm512_set1_ps(weight[i]), _mm512_maskz_loadu_ps(0x0fff, palette + entry * (size_t)joint[i])
+   m = _mm512_mul_ps(DN__TERM(0));
+   if (influences == 4) {
+      m = _mm512_fmadd_ps(DN__TERM(1), m);
+      m = _mm512_fmadd_ps(DN__TERM(2), m);
+      m = _mm512_fmadd_ps(DN__TERM(3), m);
+   } else
+      for (i = 1; i < influences; i++) m = _mm512_fmadd_ps(DN__TERM(i), m);
+#undef DN__TERM
+   return _mm512_mul_ps(m, _mm512_mask_permutexvar_ps(_mm512_set1_ps(1.0f), 0x7777, spread, p));
+}
+/* four points at a time: adding up each quarter's four numbers transposes them. Points from `count` on repeat the last. */
+DN__TARGET_AVX512 static DN__INLINE void dn__lbs_four_avx512(const float *rest, const uint32_t *joint, const float *weight,
+                                                             size_t influences, const float *palette, size_t entry, size_t count, float *out)
+{
+   const __m512i pack = _mm512_setr_epi32(0, 4, 8, 1, 5, 9, 2, 6, 10, 3, 7, 11, 0, 0, 0, 0);
+   const __mmask16 used = (__mmask16)((1u << 3 * count) - 1);
+   const __m512 p = _mm512_maskz_loadu_ps(used, rest);
+   const size_t r1 = influences * dn__min(1, count - 1), r2 = influences * dn__min(2, count - 1), r3 = influences * (count - 1);
+   __m512 y0 = dn__lbs_terms_avx512(p, 0, joint, weight, influences, palette, entry);
+   __m512 y1 = dn__lbs_terms_avx512(p, 1, joint + r1, weight + r1, influences, palette, entry);
+   __m512 y2 = dn__lbs_terms_avx512(p, 2, joint + r2, weight + r2, influences, palette, entry);
+   __m512 y3 = dn__lbs_terms_avx512(p, 3, joint + r3, weight + r3, influences, palette, entry);
+   __m512 a = _mm512_add_ps(_mm512_maskz_unpacklo_ps(DN__ALL, y0, y1), _mm512_maskz_unpackhi_ps(DN__ALL, y0, y1)); /* 02 02 13 13 */
+   __m512 b = _mm512_add_ps(_mm512_maskz_unpacklo_ps(DN__ALL, y2, y3), _mm512_maskz_unpackhi_ps(DN__ALL, y2, y3));
+   a = _mm512_add_ps(_mm512_maskz_shuffle_ps(DN__ALL, a, b, 0x44), _mm512_maskz_shuffle_ps(DN__ALL, a, b, 0xee));
+   _mm512_mask_storeu_ps(out, used, _mm512_maskz_permutexvar_ps(DN__ALL, pack, a));
+}
+DN__TARGET_AVX512 static void dn__lbs_avx512(const float *rest, const uint32_t *joint, const float *weight, size_t influences,
+                                             const float *palette, size_t entry, size_t begin, size_t end, float *out)
+{
+   size_t v = begin;
+   if (influences == 4) /* what nearly every character has */
+      for (; v + 4 <= end; v += 4)
+         dn__lbs_four_avx512(rest + 3 * v, joint + 4 * v, weight + 4 * v, 4, palette, entry, 4, out + 3 * v);
+   for (; v < end; v += 4)
+      dn__lbs_four_avx512(rest + 3 * v, joint + influences * v, weight + influences * v, influences, palette, entry,
+                          dn__min(4, end - v), out + 3 * v);
+}
+#endif
+
+#ifdef DN__HAS_AVX2
+/* rows 0 and 1 in one register, row 2 in half of one */
+DN__TARGET_AVX2 static DN__INLINE __m128 dn__lbs_point_avx2(__m128 p, const uint32_t *joint, const float *weight,
+                                                            size_t influences, const float *palette, size_t entry)
+{
+   const float *m = palette + entry * (size_t)joint[0];
+   __m256 w = _mm256_broadcast_ss(weight), a = _mm256_mul_ps(w, _mm256_loadu_ps(m));
+   __m128 c = _mm_mul_ps(_mm256_castps256_ps128(w), _mm_loadu_ps(m + 8)), b, t;
+   size_t i;
+#define DN__TERM(i)                                                                                          \
+   m = palette + entry * (size_t)joint[i];                                                                      \
+   w = _mm256_broadcast_ss(weight + i);                                                                      \
+   a = _mm256_fmadd_ps(w, _mm256_loadu_ps(m), a);                                                            \
+   c = _mm_fmadd_ps(_mm256_castps256_ps128(w), _mm_loadu_ps(m + 8), c);
+   if (influences == 4) {
+      DN__TERM(1) DN__TERM(2) DN__TERM(3)
+   } else
+      for (i = 1; i < influences; i++) {
+         DN__TERM(i)
+      }
+#undef DN__TERM
+   p = _mm_blend_ps(p, _mm_set1_ps(1.0f), 8);
+   c = _mm_mul_ps(c, p);
+   b = _mm_mul_ps(_mm256_extractf128_ps(a, 1), p);
+   p = _mm_mul_ps(_mm256_castps256_ps128(a), p);
+   t = _mm_add_ps(_mm_unpacklo_ps(p, b), _mm_unpackhi_ps(p, b)); /* x02 y02 x13 y13 */
+   c = _mm_add_ps(c, _mm_movehl_ps(c, c));                       /* z02 z13 */
+   return _mm_add_ps(_mm_movelh_ps(t, c), _mm_shuffle_ps(t, c, 0x5e));
+}
+DN__TARGET_AVX2 static void dn__lbs_avx2(const float *rest, const uint32_t *joint, const float *weight, size_t influences,
+                                         const float *palette, size_t entry, size_t begin, size_t end, float *out)
+{
+   float last[4] = { 0.0f, 0.0f, 0.0f, 0.0f };
+   __m128 p, next;
+   size_t v;
+   memcpy(last, rest + 3 * (end - 1), 3 * sizeof *last);
+   next = _mm_loadu_ps(begin + 1 < end ? rest + 3 * begin : last);
+   for (v = begin; v + 1 < end; v++) { /* the fourth float of a load or store belongs to the point after it */
+      p = next;
+      next = _mm_loadu_ps(v + 2 < end ? rest + 3 * (v + 1) : last);
+      if (influences == 4) p = dn__lbs_point_avx2(p, joint + 4 * v, weight + 4 * v, 4, palette, entry);
+      else p = dn__lbs_point_avx2(p, joint + influences * v, weight + influences * v, influences, palette, entry);
+      _mm_storeu_ps(out + 3 * v, p);
+   }
+   _mm_storeu_ps(last, dn__lbs_point_avx2(next, joint + influences * v, weight + influences * v, influences, palette, entry));
+   memcpy(out + 3 * v, last, 3 * sizeof *last);
+}
+#endif
+
+#ifdef DN__HAS_F4
+   #if defined(DN__F4_NEON)
+static DN__INLINE dn__f4 dn__f4_sums(dn__f4 a, dn__f4 b, dn__f4 c) /* of a, of b, of c, anything: each (0 + 2) + (1 + 3) */
+{
+   dn__f4 ab = vaddq_f32(vzip1q_f32(a, b), vzip2q_f32(a, b)); /* a02 b02 a13 b13 */
+   dn__f4 cc = vaddq_f32(vzip1q_f32(c, c), vzip2q_f32(c, c));
+   return vaddq_f32(vcombine_f32(vget_low_f32(ab), vget_low_f32(cc)), vcombine_f32(vget_high_f32(ab), vget_high_f32(cc)));
+}
+static DN__INLINE dn__f4 dn__f4_point(dn__f4 p) { return vsetq_lane_f32(1.0f, p, 3); } /* x y z 1 */
+   #elif defined(DN__F4_WASM)
+static DN__INLINE dn__f4 dn__f4_sums(dn__f4 a, dn__f4 b, dn__f4 c)
+{
+   dn__f4 ab = wasm_f32x4_add(wasm_i32x4_shuffle(a, b, 0, 4, 1, 5), wasm_i32x4_shuffle(a, b, 2, 6, 3, 7));
+   dn__f4 cc = wasm_f32x4_add(c, wasm_i32x4_shuffle(c, c, 2, 3, 2, 3));
+   return wasm_f32x4_add(wasm_i32x4_shuffle(ab, cc, 0, 1, 4, 4), wasm_i32x4_shuffle(ab, cc, 2, 3, 5, 5));
+}
+static DN__INLINE dn__f4 dn__f4_point(dn__f4 p) { return wasm_f32x4_replace_lane(p, 3, 1.0f); }
+   #else
+static DN__INLINE dn__f4 dn__f4_sums(dn__f4 a, dn__f4 b, dn__f4 c)
+{
+   dn__f4 ab = _mm_add_ps(_mm_unpacklo_ps(a, b), _mm_unpackhi_ps(a, b)), cc = _mm_add_ps(c, _mm_movehl_ps(c, c));
+   return _mm_add_ps(_mm_movelh_ps(ab, cc), _mm_shuffle_ps(ab, cc, 0x5e));
+}
+static DN__INLINE dn__f4 dn__f4_point(dn__f4 p)
+{
+   const __m128 xyz = _mm_castsi128_ps(_mm_setr_epi32(-1, -1, -1, 0));
+   return _mm_or_ps(_mm_and_ps(xyz, p), _mm_andnot_ps(xyz, _mm_set1_ps(1.0f)));
+}
+   #endif
+static DN__INLINE dn__f4 dn__lbs_point_f4(dn__f4 p, const uint32_t *joint, const float *weight, size_t influences,
+                                          const float *palette, size_t entry)
+{
+   const float *m = palette + entry * (size_t)joint[0];
+   dn__f4 w = dn__f4_all(weight[0]), a = dn__f4_mul(w, dn__f4_load(m));
+   dn__f4 b = dn__f4_mul(w, dn__f4_load(m + 4)), c = dn__f4_mul(w, dn__f4_load(m + 8));
+   size_t i;
+#define DN__TERM(i)                                                                                          \
+   m = palette + entry * (size_t)joint[i];                                                                      \
+   w = dn__f4_all(weight[i]);                                                                                \
+   a = dn__f4_fma(w, dn__f4_load(m), a);                                                                     \
+   b = dn__f4_fma(w, dn__f4_load(m + 4), b);                                                                 \
+   c = dn__f4_fma(w, dn__f4_load(m + 8), c);
+   if (influences == 4) {
+      DN__TERM(1) DN__TERM(2) DN__TERM(3)
+   } else
+      for (i = 1; i < influences; i++) {
+         DN__TERM(i)
+      }
+#undef DN__TERM
+   p = dn__f4_point(p);
+   return dn__f4_sums(dn__f4_mul(a, p), dn__f4_mul(b, p), dn__f4_mul(c, p));
+}
+static void dn__lbs_f4(const float *rest, const uint32_t *joint, const float *weight, size_t influences, const float *palette,
+                       size_t entry, size_t begin, size_t end, float *out)
+{
+   float last[4] = { 0.0f, 0.0f, 0.0f, 0.0f };
+   dn__f4 p, next;
+   size_t v;
+   memcpy(last, rest + 3 * (end - 1), 3 * sizeof *last);
+   next = dn__f4_load(begin + 1 < end ? rest + 3 * begin : last);
+   for (v = begin; v + 1 < end; v++) { /* the fourth float of a load or store belongs to the point after it */
+      p = next;
+      next = dn__f4_load(v + 2 < end ? rest + 3 * (v + 1) : last);
+      if (influences == 4) p = dn__lbs_point_f4(p, joint + 4 * v, weight + 4 * v, 4, palette, entry);
+      else p = dn__lbs_point_f4(p, joint + influences * v, weight + influences * v, influences, palette, entry);
+      dn__f4_store(out + 3 * v, p);
+   }
+   dn__f4_store(last, dn__lbs_point_f4(next, joint + influences * v, weight + influences * v, influences, palette, entry));
+   memcpy(out + 3 * v, last, 3 * sizeof *last);
+}
+#endif
+
+/* points begin..end by the kernel's text; by dn__lbs_range when it has none, or nothing to blend. wide (S,16) is palette with
+   each joint on a cache line of its own, or NULL */
+static void dn__lbs_run(dn_kernel kernel, const float *rest, const uint32_t *joint, const float *weight, size_t influences,
+                        const float *palette, const float *wide, size_t begin, size_t end, float *out)
+{
+   const float *m = wide ? wide : palette;
+   const size_t entry = wide ? 16 : 12;
+   if (begin >= end) return;
+   (void)m, (void)entry;
+   switch (influences ? kernel : DN_KERNEL_REF) {
+#ifdef DN__HAS_AVX512
+   case DN_KERNEL_AVX512: dn__lbs_avx512(rest, joint, weight, influences, m, entry, begin, end, out); break;
+#endif
+#ifdef DN__HAS_AVX2
+   case DN_KERNEL_AVX2: dn__lbs_avx2(rest, joint, weight, influences, m, entry, begin, end, out); break;
+#endif
+#ifdef DN__HAS_F4
+   case DN__F4_KERNEL: dn__lbs_f4(rest, joint, weight, influences, m, entry, begin, end, out); break;
+#endif
+   default: dn__lbs_range(rest, joint, weight, influences, palette, begin, end, out); break;
+   }
+}
+/* below that many points, asking the processor what it can do costs more than it gains */
+#define DN__LBS_MANY ((size_t)1024)
+DN_API void dn_lbs(const float *rest, const uint32_t *joint, const float *weight, size_t influences, size_t count,
+                   const float *palette, float *out)
+{
+   dn_kernel kernel = count < DN__LBS_MANY ? DN_KERNEL_REF : dn__kernel_best();
+   dn__lbs_run(kernel, rest, joint, weight, influences, palette, NULL, 0, count, out);
 }
 
 /* ===================================================================================== >>attention
@@ -4782,9 +5572,10 @@ DN_API void dn_pool_scatter(const dn_pool *pool, const dn_clusters *c, const flo
 /* ===================================================================================== >>networks
    in       an opened safetensors file                        out   dn_model: packed layers in run order
             rows (N,D) in the frame's scratch                       displacement (N,3) before output.std/mean
+            garments' networks are in >>garmentnets
    touches  the memory handed in; a loaded model is never written again
    paper    DenseGATs T 3.2, MultiResGNet T 3.3, baselines T tables 3.3 and 3.4; spec section 5
-   read     dn__build_model (what each architecture is made of), then dn__run_multiresgnet (how it runs) */
+   read     dn__build_model (what each architecture is made of), then dn__run_local_global (how it runs) */
 
 enum { DN__MAX_FEATURES = 16, DN__MAX_CHAIN = 64, DN__NAME = 64, DN__TILE = 128 };
 typedef enum dn__kind { DN__LINEAR, DN__GAT_BLOCK } dn__kind;
@@ -4797,19 +5588,34 @@ typedef struct dn__block { /* one named layer */
    dn_gat gat;
 } dn__block;
 
+struct dn__blend_net;
+typedef struct dn__stage { /* what goes into a network and comes out; clothnet is two */
+   dn_feature features[DN__MAX_FEATURES];
+   size_t feature_count, row_width;
+   size_t fit;                             /* n of fit:n */
+   const float *input_mean, *input_scale;  /* (D), scale = 1/std; NULL when absent */
+   float output_mean[3], output_std[3];
+} dn__stage;
+typedef struct dn__branch { /* blocks around a pool, and the layers after them */
+   size_t first;            /* its first block */
+   size_t locals;           /* blocks of its dense module, which come first; clothnet has none */
+   const dn_gat *dense;     /* (locals) */
+   dn_pool pool;
+   char pool_name[DN__NAME], unpool_name[DN__NAME];
+} dn__branch;
+
 struct dn_model {
    dn_model_info info;
-   dn_feature features[DN__MAX_FEATURES];
+   dn__stage stage[2];            /* the second one: clothnet's detail */
    const dn_allocator *allocator; /* points at the copy below, or NULL: DN_MALLOC */
    dn_allocator allocator_copy;
    int owned;                     /* made by dn_model_load: dn_model_free gives the memory back */
-   const float *input_mean, *input_scale; /* (D), scale = 1/std; NULL when absent */
-   float output_mean[3], output_std[3];
    size_t block_count;
    dn__block *blocks;             /* in run order */
    size_t chain[3];               /* baselines: how many pre, gat and post blocks */
-   dn_gat *dense;                 /* densegats 3 x 6, multiresgnet 2: copies in rows for dn_dense_run */
-   dn_pool pool;                  /* multiresgnet */
+   dn_gat *dense;                 /* densegats 3 x 6, multiresgnet 2, garfitnet 2 x 4: copies in rows for dn_dense_run */
+   struct dn__blend_net *blend;   /* neuralblendshapes */
+   dn__branch branch[2];          /* multiresgnet: one; garfitnet, clothnet's detail: direction and length */
 };
 
 /* --- loading. The builder runs twice over the same code: first measuring (arena without memory), then packing. */
@@ -4823,6 +5629,8 @@ typedef struct dn__loader {
    dn_model *model;
    int packing;
 } dn__loader;
+
+static void dn__build_blend(dn__loader *l); /* neuralblendshapes: >>blend */
 
 static const char dn__where_model[] = "model";
 
@@ -4841,6 +5649,13 @@ static void dn__join(char *buffer, size_t size, const char *a, const char *b)
    dn__text t = dn__text_of(buffer, size);
    dn__put(&t, a);
    dn__put(&t, b);
+}
+static void dn__join3(char *buffer, size_t size, const char *a, const char *b, const char *c)
+{
+   dn__text t = dn__text_of(buffer, size);
+   dn__put(&t, a);
+   dn__put(&t, b);
+   dn__put(&t, c);
 }
 static void dn__number(char *buffer, size_t size, const char *a, size_t n, const char *b)
 {
@@ -5026,14 +5841,21 @@ static size_t dn__add_gat(dn__loader *l, const char *name, size_t *in, dn_activa
       dn_gat_pack(&b->gat, b->in, heads, features, selfs, f_lin, f_dst, f_src, f_self, has_bn ? &bn : NULL, act, memory);
    return b->out;
 }
-static void dn__add_pool(dn__loader *l, const char *name, size_t in)
+/* The branch's pool, prefix.pool; it starts at the next block */
+static void dn__add_branch(dn__loader *l, const char *prefix, size_t which, size_t first, size_t locals, size_t in)
 {
-   char full[DN__NAME + 24];
+   dn__branch *q = &l->model->branch[which];
+   char full[DN__NAME + 24], name[DN__NAME];
    const dn_tensor *lin, *dst, *src;
    const float *f_lin, *f_dst, *f_src, *f_offset = NULL;
    void *memory;
    if (l->failed) return;
    l->temp.used = 0;
+   dn__join(name, sizeof name, prefix, "pool");
+   memcpy(q->pool_name, name, sizeof name);
+   dn__join(q->unpool_name, sizeof q->unpool_name, prefix, "unpool");
+   q->first = first;
+   q->locals = locals;
    dn__join(full, sizeof full, name, ".lin.weight");
    lin = dn__want(l, full, 2, 0, in);
    if (!lin) return;
@@ -5048,7 +5870,7 @@ static void dn__add_pool(dn__loader *l, const char *name, size_t in)
    if (dn_tensors_find(l->file, full)) f_offset = dn__floats(l, dn__want(l, full, 1, 1, 0));
    memory = dn__take(&l->memory, dn_pool_size(in, lin->shape[0]), 1);
    if (l->packing && !l->failed)
-      dn_pool_pack(&l->model->pool, in, lin->shape[0], f_lin, f_dst, f_src, f_offset ? f_offset[0] : 0.0f, memory);
+      dn_pool_pack(&q->pool, in, lin->shape[0], f_lin, f_dst, f_src, f_offset ? f_offset[0] : 0.0f, memory);
 }
 
 /* pre.N, gat.N or post.N as many as the file has, from 0 without gaps */
@@ -5072,59 +5894,95 @@ static size_t dn__add_chain(dn__loader *l, const char *stem, dn__kind kind, size
    return width;
 }
 
-/* What each architecture is made of, in run order. Widths come from the tensors, structure from here (spec
-   section 5). Returns D, the width of a feature row. */
-static size_t dn__build_model(dn__loader *l, dn_arch arch)
+/* A dense module of GAT blocks stem0, stem1 ... on rows of `in` (T 3.6). Returns the width of its output, all rows and x. */
+static size_t dn__add_dense(dn__loader *l, const char *stem, size_t count, size_t *in, dn_activation act)
 {
-   size_t in = 0, w, out_in, k, b;
+   size_t b, w = *in;
+   for (b = 0; b < count; b++) {
+      char name[DN__NAME];
+      size_t f;
+      dn__number(name, sizeof name, stem, b, "");
+      f = dn__add_gat(l, name, &w, act); /* the next block reads f_b || x_b */
+      if (b == 0) *in = w;
+      w = dn__add(w, f);
+   }
+   return w;
+}
+/* blocks `from` to `to` - 1 of stem0, stem1 ..., one after the other; returns the width of the last */
+static size_t dn__add_gats(dn__loader *l, const char *stem, size_t from, size_t to, size_t in, dn_activation act)
+{
+   size_t b;
+   for (b = from; b < to; b++) {
+      char name[DN__NAME];
+      dn__number(name, sizeof name, stem, b, "");
+      in = dn__add_gat(l, name, &in, act);
+   }
+   return in;
+}
+/* prefix post.0, post.1 and out: the layers at the end, node by node */
+static void dn__add_tail(dn__loader *l, const char *prefix, size_t in, dn_activation act, size_t out)
+{
+   char name[DN__NAME];
+   dn__join(name, sizeof name, prefix, "post.0");
+   in = dn__add_linear(l, name, &in, 0, act);
+   dn__join(name, sizeof name, prefix, "post.1");
+   in = dn__add_linear(l, name, &in, 0, act);
+   dn__join(name, sizeof name, prefix, "out");
+   dn__add_linear(l, name, &in, out, DN_ACT_NONE);
+}
+/* Local and global side by side (T 3.3, 3.13): `locals` blocks as a dense module; pool, global.0, global.1, unpool,
+   global.2. Returns the width of both. */
+static size_t dn__add_local_global(dn__loader *l, const char *prefix, size_t which, size_t locals, size_t in, dn_activation act)
+{
+   char stem[DN__NAME];
+   size_t first = l->model->block_count, local, global;
+   dn__join(stem, sizeof stem, prefix, "local.");
+   local = dn__add_dense(l, stem, locals, &in, act);
+   dn__add_branch(l, prefix, which, first, locals, in);
+   dn__join(stem, sizeof stem, prefix, "global.");
+   global = dn__add_gats(l, stem, 0, 3, in, act);
+   return dn__add(local, global);
+}
+static void dn__build_garment(dn__loader *l, dn_arch arch); /* >>garmentnets */
+
+/* What each architecture is made of, in run order. Widths come from the tensors, structure from here (spec
+   section 5). */
+static void dn__build_model(dn__loader *l, dn_arch arch)
+{
+   size_t in = 0, w, out_in, k;
    char name[DN__NAME];
    dn_model *m = l->model;
+   if (arch == DN_GARFIT_COARSE || arch == DN_GARFITNET || arch == DN_CLOTHNET) {
+      dn__build_garment(l, arch);
+      return;
+   }
    if (arch == DN_DENSEGATS) { /* T 3.2 */
       w = dn__add_linear(l, "pre.0", &in, 0, DN_ACT_TANH);
       w = dn__add_linear(l, "pre.1", &w, 0, DN_ACT_TANH);
       for (k = 0; k < 3; k++) {
-         for (b = 0; b < 6; b++) {
-            size_t f;
-            dn__number(name, sizeof name, "dense.", k, ".");
-            dn__number(name + strlen(name), sizeof name - strlen(name), "", b, "");
-            f = dn__add_gat(l, name, &w, DN_ACT_TANHSHRINK); /* T 3.6: the next block reads f_b || x_b */
-            w = dn__add(w, f);
-         }
+         dn__number(name, sizeof name, "dense.", k, ".");
+         w = dn__add_dense(l, name, 6, &w, DN_ACT_TANHSHRINK);
          if (k == 2) break;
          dn__number(name, sizeof name, "transition.", k, "");
          w = dn__add_gat(l, name, &w, DN_ACT_TANHSHRINK);
       }
-   } else if (arch == DN_MULTIRESGNET) { /* T 3.3, 3.13 */
-      size_t pre, local, coarse;
+      dn__add_tail(l, "", w, DN_ACT_TANH, 3);
+   } else if (arch == DN_MULTIRESGNET) {
       w = dn__add_linear(l, "pre.0", &in, 0, DN_ACT_TANH);
-      pre = local = dn__add_linear(l, "pre.1", &w, 0, DN_ACT_TANH);
-      for (b = 0; b < 2; b++) {
-         size_t f;
-         dn__number(name, sizeof name, "local.", b, "");
-         f = dn__add_gat(l, name, &local, DN_ACT_TANHSHRINK);
-         local = dn__add(local, f);
-      }
-      dn__add_pool(l, "pool", pre);
-      coarse = pre;
-      for (b = 0; b < 3; b++) {
-         dn__number(name, sizeof name, "global.", b, "");
-         coarse = dn__add_gat(l, name, &coarse, DN_ACT_TANHSHRINK);
-      }
-      w = dn__add(local, coarse);
+      w = dn__add_linear(l, "pre.1", &w, 0, DN_ACT_TANH);
+      w = dn__add_local_global(l, "", 0, 2, w, DN_ACT_TANHSHRINK);
+      dn__add_tail(l, "", w, DN_ACT_TANH, 3);
    } else { /* baselines */
       m->chain[0] = m->chain[1] = m->chain[2] = 0;
       w = 0;
       if (arch != DN_GAT) w = dn__add_chain(l, "pre.", DN__LINEAR, &in, w, &m->chain[0]);
       if (arch != DN_MLP) w = dn__add_chain(l, "gat.", DN__GAT_BLOCK, &in, w, &m->chain[1]);
       if (arch == DN_NEUROSKINNING) w = dn__add_chain(l, "post.", DN__LINEAR, &in, w, &m->chain[2]);
+      out_in = w;
+      dn__add_linear(l, "out", &out_in, 3, DN_ACT_NONE);
+      if (in == 0) in = out_in;
    }
-   if (arch == DN_DENSEGATS || arch == DN_MULTIRESGNET) {
-      w = dn__add_linear(l, "post.0", &w, 0, DN_ACT_TANH);
-      w = dn__add_linear(l, "post.1", &w, 0, DN_ACT_TANH);
-   }
-   out_in = w;
-   dn__add_linear(l, "out", &out_in, 3, DN_ACT_NONE);
-   return in ? in : out_in;
+   m->stage[0].row_width = in;
 }
 
 /* --- metadata */
@@ -5171,74 +6029,96 @@ static const struct { const char *name; dn_feature feature; } dn__feature_names[
    { "position", DN_POSITION }, { "relative", DN_RELATIVE }, { "normal", DN_NORMAL },
    { "geodesic", DN_GEODESIC }, { "distance", DN_DISTANCE }
 };
-static const char *const dn__arch_names[] = { "mlp", "gat", "neuroskinning", "densegats", "multiresgnet" };
-
-static void dn__load_features(dn__loader *l)
+static const char *const dn__arch_names[] = { "mlp", "gat", "neuroskinning", "densegats", "multiresgnet", "garfit_coarse",
+                                              "garfitnet", "clothnet", "neuralblendshapes" };
+static int dn__is_garment(const dn_model *m)
 {
-   static const char key[] = "deformnet.features";
-   dn_model *m = l->model;
+   return m->info.arch == DN_GARFIT_COARSE || m->info.arch == DN_GARFITNET || m->info.arch == DN_CLOTHNET;
+}
+
+/* n of "fit:n", which ends at `end`; 0: it is something else */
+static size_t dn__fit_of(const char *s, const char *end)
+{
+   size_t n = 0;
+   if (end - s < 5 || memcmp(s, "fit:", 4) != 0) return 0;
+   for (s += 4; s < end; s++) {
+      if (*s < '0' || *s > '9' || n > DN_MAX_DIM) return 0;
+      n = n * 10 + (size_t)(*s - '0');
+   }
+   return n <= DN_MAX_DIM ? n : 0;
+}
+static void dn__load_features(dn__loader *l, dn__stage *stage, const char *key)
+{
    const char *s = dn__meta(l, key, NULL);
+   int garment = dn__is_garment(l->model);
    while (s && !l->failed) {
       const char *end = s;
-      size_t i, n = sizeof dn__feature_names / sizeof *dn__feature_names;
+      size_t i, n = sizeof dn__feature_names / sizeof *dn__feature_names, fit;
       while (*end && *end != ',') end++;
       for (i = 0; i < n; i++)
          if (strlen(dn__feature_names[i].name) == (size_t)(end - s) && !memcmp(s, dn__feature_names[i].name, (size_t)(end - s)))
             break;
-      if (i == n) dn__meta_fail(l, key, s, "position, relative, normal, geodesic, distance");
-      else if (m->info.feature_count == DN__MAX_FEATURES) dn__load_fail(l, DN_UNSUPPORTED, key, ": more than 16 features");
-      else m->features[m->info.feature_count++] = dn__feature_names[i].feature;
+      if (i < n && garment && dn__feature_names[i].feature == DN_GEODESIC) i = n; /* a garment is not solid */
+      fit = garment && !stage->fit ? dn__fit_of(s, end) : 0;
+      if (i == n && !fit)
+         dn__meta_fail(l, key, s, garment ? "position, relative, normal, distance, and fit:n at most once" : "position, relative, normal, geodesic, distance");
+      else if (stage->feature_count == DN__MAX_FEATURES) dn__load_fail(l, DN_UNSUPPORTED, key, ": more than 16 features");
+      else stage->features[stage->feature_count++] = i < n ? dn__feature_names[i].feature : DN_FIT;
+      if (fit) stage->fit = fit;
       s = *end ? end + 1 : NULL;
    }
 }
-/* The joint names, split at commas into the model's memory, and how many columns a per-joint feature has. */
-static void dn__load_joints(dn__loader *l, size_t row_width)
+/* The joint names, split at commas into the model's memory. Returns how many. */
+static size_t dn__load_joint_names(dn__loader *l)
 {
-   dn_model *m = l->model;
    const char *list = dn_tensors_meta(l->file, "deformnet.joints");
-   size_t narrow = 0, wide = 0, names = 0, i, length, joints = 0;
-   for (i = 0; i < m->info.feature_count; i++) {
-      if (m->features[i] == DN_GEODESIC || m->features[i] == DN_DISTANCE) wide++;
-      else narrow += 3;
+   size_t names = 1, i, length;
+   char *text;
+   const char **table;
+   if (!list || !*list) return 0;
+   for (length = 0; list[length]; length++) names += list[length] == ',';
+   if (names > DN_MAX_DIM) { /* bind compares each with the character's */
+      char line[120];
+      dn__number(line, sizeof line, ": found ", names, " names, expected at most DN_MAX_DIM");
+      dn__load_fail(l, DN_BAD_SHAPE, "deformnet.joints", line);
+      return 0;
    }
-   if (list && *list) {
-      char *text;
-      const char **table;
-      for (names = 1, length = 0; list[length]; length++) names += list[length] == ',';
-      if (names > DN_MAX_DIM) { /* bind compares each with the character's */
-         char line[120];
-         dn__number(line, sizeof line, ": found ", names, " names, expected at most DN_MAX_DIM");
-         dn__load_fail(l, DN_BAD_SHAPE, "deformnet.joints", line);
-         return;
-      }
-      text = (char *)dn__take(&l->memory, dn__add(length, 1), 1);
-      table = (const char **)dn__take(&l->memory, names, sizeof *table);
-      if (l->packing && !l->failed) {
-         size_t k = 0;
-         memcpy(text, list, length + 1);
-         table[k++] = text;
-         for (i = 0; i < length; i++)
-            if (text[i] == ',') text[i] = 0, table[k++] = text + i + 1;
-         m->info.joint_names = table;
-      }
-      joints = names;
+   text = (char *)dn__take(&l->memory, dn__add(length, 1), 1);
+   table = (const char **)dn__take(&l->memory, names, sizeof *table);
+   if (l->packing && !l->failed) {
+      size_t k = 0;
+      memcpy(text, list, length + 1);
+      table[k++] = text;
+      for (i = 0; i < length; i++)
+         if (text[i] == ',') text[i] = 0, table[k++] = text + i + 1;
+      l->model->info.joint_names = table;
    }
-   if (l->failed) return;
-   if (wide) joints = row_width > narrow && (row_width - narrow) % wide == 0 ? (row_width - narrow) / wide : 0;
-   if (wide ? joints == 0 || (names && joints != names) : row_width != narrow) {
+   return names;
+}
+/* How many columns a per-joint feature of this stage has; the features must make up the row exactly. `joints`: names,
+   or what another stage found, 0: not known. Returns the number of joints. */
+static size_t dn__load_joints(dn__loader *l, const dn__stage *stage, const char *key, size_t joints)
+{
+   size_t narrow = 0, wide = 0, i, found = joints;
+   for (i = 0; i < stage->feature_count; i++) {
+      if (stage->features[i] == DN_GEODESIC || stage->features[i] == DN_DISTANCE) wide++;
+      else narrow += stage->features[i] == DN_FIT ? stage->fit : 3;
+   }
+   if (wide) found = stage->row_width > narrow && (stage->row_width - narrow) % wide == 0 ? (stage->row_width - narrow) / wide : 0;
+   if (wide ? found == 0 || (joints && found != joints) : stage->row_width != narrow) {
       char line[160];
       dn__text t = dn__text_of(line, sizeof line);
       dn__put(&t, ": the first layer takes rows of ");
-      dn__put_size(&t, row_width);
+      dn__put_size(&t, stage->row_width);
       dn__put(&t, ", the features make ");
       dn__put_size(&t, narrow);
       dn__put(&t, " + ");
       dn__put_size(&t, wide);
       dn__put(&t, " x joints, deformnet.joints names ");
-      dn__put_size(&t, names);
-      dn__load_fail(l, DN_BAD_SHAPE, "deformnet.features", line);
+      dn__put_size(&t, joints);
+      dn__load_fail(l, DN_BAD_SHAPE, key, line);
    }
-   m->info.joints = joints;
+   return found;
 }
 static const char *dn__keep_string(dn__loader *l, const char *s)
 {
@@ -5254,54 +6134,66 @@ static const float *dn__maybe(dn__loader *l, const char *name, size_t width)
    return dn_tensors_find(l->file, name) ? dn__floats(l, dn__want(l, name, 1, width, 0)) : NULL;
 }
 /* x -> (x - mean) / std before the first layer and x std + mean after the last, where the file has them */
-static void dn__load_scales(dn__loader *l, size_t row_width)
+static void dn__load_scales(dn__loader *l, dn__stage *stage, const char *prefix)
 {
-   dn_model *m = l->model;
+   char mean_name[DN__NAME], std_name[DN__NAME];
+   const float *mean, *std;
    size_t i;
    l->temp.used = 0;
-   for (i = 0; i < 3; i++) m->output_mean[i] = 0.0f, m->output_std[i] = 1.0f;
-   if (dn_tensors_find(l->file, "input.mean") || dn_tensors_find(l->file, "input.std")) {
-      const float *mean = dn__maybe(l, "input.mean", row_width), *std = dn__maybe(l, "input.std", row_width);
-      float *kept_mean = (float *)dn__take(&l->memory, row_width, sizeof(float));
-      float *kept_scale = (float *)dn__take(&l->memory, row_width, sizeof(float));
+   for (i = 0; i < 3; i++) stage->output_mean[i] = 0.0f, stage->output_std[i] = 1.0f;
+   dn__join(mean_name, sizeof mean_name, prefix, "input.mean");
+   dn__join(std_name, sizeof std_name, prefix, "input.std");
+   if (dn_tensors_find(l->file, mean_name) || dn_tensors_find(l->file, std_name)) {
+      float *kept_mean, *kept_scale;
+      mean = dn__maybe(l, mean_name, stage->row_width);
+      std = dn__maybe(l, std_name, stage->row_width);
+      kept_mean = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
+      kept_scale = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
       if (l->packing && !l->failed) {
-         for (i = 0; i < row_width; i++) {
+         for (i = 0; i < stage->row_width; i++) {
             kept_mean[i] = mean ? mean[i] : 0.0f;
             kept_scale[i] = std ? 1.0f / std[i] : 1.0f;
             if (!dn__finite(kept_scale[i])) {
                char text[80];
                dn__number(text, sizeof text, ": element ", i, " is zero or too small to divide by");
-               dn__load_fail(l, DN_BAD_VALUE, "input.std", text);
+               dn__load_fail(l, DN_BAD_VALUE, std_name, text);
             }
          }
-         m->input_mean = kept_mean;
-         m->input_scale = kept_scale;
+         stage->input_mean = kept_mean;
+         stage->input_scale = kept_scale;
       }
    }
-   {
-      const float *mean = dn__maybe(l, "output.mean", 3), *std = dn__maybe(l, "output.std", 3);
-      if (l->packing && !l->failed)
-         for (i = 0; i < 3; i++) m->output_mean[i] = mean ? mean[i] : 0.0f, m->output_std[i] = std ? std[i] : 1.0f;
-   }
+   dn__join(mean_name, sizeof mean_name, prefix, "output.mean");
+   dn__join(std_name, sizeof std_name, prefix, "output.std");
+   mean = dn__maybe(l, mean_name, 3);
+   std = dn__maybe(l, std_name, 3);
+   if (l->packing && !l->failed)
+      for (i = 0; i < 3; i++) stage->output_mean[i] = mean ? mean[i] : 0.0f, stage->output_std[i] = std ? std[i] : 1.0f;
 }
 
 /* One run of the builder: metadata, layers, scales. model is the real one when packing, a stand-in when measuring. */
 static void dn__load_all(dn__loader *l, size_t blocks)
 {
    dn_model *m = l->model;
-   size_t arch, row_width, archs = sizeof dn__arch_names / sizeof *dn__arch_names;
+   size_t arch, joints, archs = sizeof dn__arch_names / sizeof *dn__arch_names;
+   int two;
    const char *s = dn__meta(l, "deformnet.version", NULL);
    if (s && !dn__name_equal(s, "1")) dn__meta_fail(l, "deformnet.version", s, "1");
    s = dn__meta(l, "deformnet.arch", NULL);
    if (l->failed) return;
    for (arch = 0; arch < archs && !dn__name_equal(s, dn__arch_names[arch]); arch++) {}
    if (arch == archs) {
-      dn__meta_fail(l, "deformnet.arch", s, "mlp, gat, neuroskinning, densegats, multiresgnet");
+      char list[160];
+      dn__text t = dn__text_of(list, sizeof list);
+      for (arch = 0; arch < archs; arch++) dn__put(&t, arch ? ", " : ""), dn__put(&t, dn__arch_names[arch]);
+      dn__meta_fail(l, "deformnet.arch", s, list);
       return;
    }
    m->info.arch = (dn_arch)arch;
    m->info.arch_name = dn__arch_names[arch];
-   dn__load_features(l);
+   two = m->info.arch == DN_CLOTHNET;
+   if (m->info.arch != DN_NEURALBLENDSHAPES) dn__load_features(l, &m->stage[0], "deformnet.features");
+   if (two) dn__load_features(l, &m->stage[1], "deformnet.features.detail");
    s = dn__meta(l, "deformnet.frame", "model");
    if (!dn__name_equal(s, "model") && !dn__name_equal(s, "root")) dn__meta_fail(l, "deformnet.frame", s, "model, root");
    m->info.root_frame = dn__name_equal(s, "root");
@@ -5316,17 +6208,29 @@ static void dn__load_all(dn__loader *l, size_t blocks)
    m->blocks = (dn__block *)dn__take(&l->memory, blocks, sizeof(dn__block));
    m->dense = (dn_gat *)dn__take(&l->memory, 18, sizeof(dn_gat));
    if (l->failed) return;
-   row_width = dn__build_model(l, m->info.arch);
+   if (m->info.arch == DN_NEURALBLENDSHAPES) {
+      dn__build_blend(l);
+      return;
+   }
+   dn__build_model(l, m->info.arch);
    if (l->failed) return;
-   dn__load_joints(l, row_width);
-   dn__load_scales(l, row_width);
-   m->info.row_width = row_width;
+   joints = dn__load_joint_names(l);
+   if (!l->failed) joints = dn__load_joints(l, &m->stage[0], "deformnet.features", joints);
+   if (!l->failed && two) joints = dn__load_joints(l, &m->stage[1], "deformnet.features.detail", joints);
+   m->info.joints = joints;
+   dn__load_scales(l, &m->stage[0], two ? "coarse." : "");
+   if (two) dn__load_scales(l, &m->stage[1], "detail.");
 }
 static size_t dn__copy_dense(dn_model *m) /* dn_dense_run wants a module's blocks in a row */
 {
    size_t i, n = 0;
-   for (i = 0; i < m->block_count; i++)
-      if (!strncmp(m->blocks[i].name, "dense.", 6) || !strncmp(m->blocks[i].name, "local.", 6)) m->dense[n++] = m->blocks[i].gat;
+   for (i = 0; i < m->block_count; i++) {
+      const char *name = m->blocks[i].name;
+      if (!strncmp(name, "dir.", 4) || !strncmp(name, "len.", 4)) name += 4;
+      if (!strncmp(name, "dense.", 6) || !strncmp(name, "local.", 6)) m->dense[n++] = m->blocks[i].gat;
+   }
+   m->branch[0].dense = m->dense;
+   m->branch[1].dense = m->dense + m->branch[0].locals;
    return n;
 }
 /* Measure (memory NULL) or pack. On measuring *bytes and *scratch are written. */
@@ -5354,7 +6258,18 @@ static dn_result dn__load(const dn_tensors *file, void *memory, size_t *bytes, v
       return *bytes == SIZE_MAX || *scratch_bytes == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_model, SIZE_MAX, "sizes overflow") : DN_OK;
    }
    dn__copy_dense(l.model);
-   l.model->info.features = l.model->features;
+   {
+      dn_model_info *info = &l.model->info;
+      const dn__stage *stage = l.model->stage;
+      info->features = stage[0].features;
+      info->feature_count = stage[0].feature_count;
+      info->row_width = stage[0].row_width;
+      info->fit = stage[0].fit;
+      info->detail_features = stage[1].feature_count ? stage[1].features : NULL;
+      info->detail_feature_count = stage[1].feature_count;
+      info->detail_width = stage[1].row_width;
+      info->detail_fit = stage[1].fit;
+   }
    l.model->info.bytes = l.memory.used;
    *model = l.model;
    return DN_OK;
@@ -5453,7 +6368,7 @@ DN_API dn_model *dn_model_load_file(const char *path, const dn_allocator *alloca
 #endif
 
 /* --- running. Widths and buffers first: one place says what a frame needs, the runners below only use it. */
-typedef struct dn__net { /* scratch of one evaluation, carved by dn__net_layout */
+typedef struct dn__net { /* scratch of one evaluation, carved by dn__net_layout or dn__garment_net_layout */
    float *wide;          /* (N, wide_width): the dense row; baselines: ping */
    float *side;          /* (N, side_width): narrow stages, unpooled rows; baselines: pong */
    float *coarse[2];     /* (M<=N, coarse_width) */
@@ -5462,14 +6377,17 @@ typedef struct dn__net { /* scratch of one evaluation, carved by dn__net_layout 
    size_t wide_width, side_width, coarse_width, tile_width;
    float *scores;        /* (2E) dynamic pooling only */
    void *pool;           /* dynamic pooling: scratch of scores and contraction */
-   dn_clusters clusters; /* dynamic: all arrays here; rest: only score is, the rest is the rig's */
+   dn_clusters clusters[2]; /* of each branch. dynamic: all arrays here, the same for both; rest: only score is, the rest is the rig's */
+   float *length;        /* (N) garments: the second branch's output */
+   float *shape;         /* (parser) garments: alpha, beta, theta in the order that the parser reads them */
+   float *code[2];       /* (1, its widths) garments: the parser's rows */
 } dn__net;
 
-static size_t dn__block_scratch(const dn_model *m, size_t nodes)
+static size_t dn__block_scratch(const dn__block *b, size_t count, size_t nodes)
 {
    size_t i, need = 0;
-   for (i = 0; i < m->block_count; i++)
-      if (m->blocks[i].kind == DN__GAT_BLOCK) need = dn__max(need, dn_gat_scratch(&m->blocks[i].gat, nodes));
+   for (i = 0; i < count; i++)
+      if (b[i].kind == DN__GAT_BLOCK) need = dn__max(need, dn_gat_scratch(&b[i].gat, nodes));
    return need;
 }
 static void dn__clusters_layout(dn_clusters *c, size_t nodes, size_t neighbours, dn__arena *a)
@@ -5479,8 +6397,24 @@ static void dn__clusters_layout(dn_clusters *c, size_t nodes, size_t neighbours,
    c->coarse_first = (uint32_t *)dn__take(a, dn__add(nodes, 1), sizeof(uint32_t));
    c->coarse_next = (uint32_t *)dn__take(a, neighbours, sizeof(uint32_t));
 }
-/* rest: a contraction found at bind, or NULL when there is none (dynamic pooling, and bind itself looking for it).
-   neighbours = 2E. */
+/* rest (branches): contractions found at bind, or NULL when there are none (dynamic pooling, and bind itself looking
+   for them). neighbours = 2E. */
+static void dn__pool_layout(dn__net *n, size_t branches, size_t nodes, size_t neighbours, const dn_clusters *rest, dn__arena *a)
+{
+   size_t k;
+   float *score;
+   n->coarse[0] = (float *)dn__take(a, dn__mul(nodes, n->coarse_width), sizeof(float));
+   n->coarse[1] = (float *)dn__take(a, dn__mul(nodes, n->coarse_width), sizeof(float));
+   for (k = 0; rest && k < branches; k++) n->clusters[k] = rest[k];
+   score = (float *)dn__take(a, nodes, sizeof(float));
+   if (!rest) {
+      n->scores = (float *)dn__take(a, neighbours, sizeof(float));
+      n->pool = dn__take(a, dn_pool_scratch(nodes, neighbours), 1);
+      dn__clusters_layout(&n->clusters[0], nodes, neighbours, a);
+      n->clusters[1] = n->clusters[0];
+   }
+   n->clusters[0].score = n->clusters[1].score = score;
+}
 static void dn__net_layout(dn__net *n, const dn_model *m, size_t nodes, size_t neighbours, const dn_clusters *rest,
                            unsigned workers, dn__arena *a)
 {
@@ -5502,25 +6436,19 @@ static void dn__net_layout(dn__net *n, const dn_model *m, size_t nodes, size_t n
    }
    n->wide = (float *)dn__take(a, dn__mul(nodes, n->wide_width), sizeof(float));
    n->side = (float *)dn__take(a, dn__mul(nodes, n->side_width), sizeof(float));
-   n->gat = dn__take(a, dn__block_scratch(m, nodes), 1);
+   n->gat = dn__take(a, dn__block_scratch(b, m->block_count, nodes), 1);
    n->tile = (float *)dn__take(a, dn__mul(dn__mul(workers, DN__TILE), n->tile_width), sizeof(float));
-   if (m->info.arch != DN_MULTIRESGNET) return;
-   n->coarse[0] = (float *)dn__take(a, dn__mul(nodes, n->coarse_width), sizeof(float));
-   n->coarse[1] = (float *)dn__take(a, dn__mul(nodes, n->coarse_width), sizeof(float));
-   if (rest) n->clusters = *rest;
-   n->clusters.score = (float *)dn__take(a, nodes, sizeof(float));
-   if (rest) return;
-   n->scores = (float *)dn__take(a, neighbours, sizeof(float));
-   n->pool = dn__take(a, dn_pool_scratch(nodes, neighbours), 1);
-   dn__clusters_layout(&n->clusters, nodes, neighbours, a);
+   if (m->info.arch == DN_MULTIRESGNET) dn__pool_layout(n, 1, nodes, neighbours, rest, a);
 }
 
 typedef struct dn__run { /* what every runner needs at hand */
    const dn_model *m;
+   const dn__stage *stage;
    const dn_graph *g;
    const dn__net *n;
    const dn_parallel *par;
    const dn_probe *probe;
+   dn_clusters *found;   /* (branches) or NULL. Bind's search: run up to the pools only, contractions go here */
 } dn__run;
 
 static void dn__tap(const dn__run *r, const char *name, const float *rows, size_t first, size_t count, size_t width, size_t stride)
@@ -5535,28 +6463,31 @@ static void dn__run_block(const dn__run *r, const dn__block *b, const dn_graph *
 }
 
 /* post.0, post.1, out on tiles of nodes: half of a network's arithmetic, whose rows never leave the cache */
-typedef struct dn__tail_job { const dn__run *r; const float *x; size_t x_stride; float *y; } dn__tail_job;
+typedef struct dn__tail_job { const dn__run *r; const dn__block *b; const float *x; size_t x_stride; float *y; } dn__tail_job;
 static void dn__tail_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__tail_job *j = (const dn__tail_job *)job;
    const dn__run *r = j->r;
-   const dn__block *b = &r->m->blocks[r->m->block_count - 3];
+   const dn__block *b = j->b;
    float *t0 = r->n->tile + worker * DN__TILE * r->n->tile_width, *t1 = t0 + DN__TILE * b[0].out;
    DN_ASSERT(worker < dn__workers(r->par)); /* the caller's job system numbers them; scratch has no more tiles */
    for (; begin < end; begin += DN__TILE) {
       size_t n = dn__min(DN__TILE, end - begin);
+      float *y = j->y + begin * b[2].out;
       dn_linear_run(&b[0].linear, j->x + begin * j->x_stride, j->x_stride, n, t0, b[0].out, NULL);
       dn_linear_run(&b[1].linear, t0, b[0].out, n, t1, b[1].out, NULL);
-      dn_linear_run(&b[2].linear, t1, b[1].out, n, j->y + begin * 3, 3, NULL);
+      dn_linear_run(&b[2].linear, t1, b[1].out, n, y, b[2].out, NULL);
       dn__tap(r, b[0].name, t0, begin, n, b[0].out, b[0].out);
       dn__tap(r, b[1].name, t1, begin, n, b[1].out, b[1].out);
-      dn__tap(r, b[2].name, j->y + begin * 3, begin, n, 3, 3);
+      dn__tap(r, b[2].name, y, begin, n, b[2].out, b[2].out);
    }
 }
-static void dn__run_tail(const dn__run *r, const float *x, size_t x_stride, float *y)
+/* b: the three blocks; y (N, the last one's width) */
+static void dn__run_tail(const dn__run *r, const dn__block *b, const float *x, size_t x_stride, float *y)
 {
    dn__tail_job j;
    j.r = r;
+   j.b = b;
    j.x = x;
    j.x_stride = x_stride;
    j.y = y;
@@ -5589,7 +6520,7 @@ static void dn__run_densegats(const dn__run *r, const float *rows, float *y)
    const dn__net *n = r->n;
    const dn__block *b = r->m->blocks;
    size_t k, width = 0, stride = n->wide_width;
-   dn__run_block(r, &b[0], r->g, rows, r->m->info.row_width, n->side, b[0].out);
+   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->side, b[0].out);
    for (k = 0; k < 3; k++) {
       const dn__block *into = &b[1 + 7 * k]; /* pre.1, transition.0, transition.1: what a dense module starts from */
       width = b[7 + 7 * k].in + b[7 + 7 * k].out;
@@ -5602,48 +6533,66 @@ static void dn__run_densegats(const dn__run *r, const float *rows, float *y)
       }
       dn__run_dense(r, 2 + 7 * k, r->m->dense + 6 * k, 6, n->wide, stride, width);
    }
-   dn__run_tail(r, n->wide, stride, y);
+   dn__run_tail(r, b + 22, n->wide, stride, y);
 }
 
-/* pre.0 and pre.1 of MultiResGNet: also all that the search for rest-pose clusters needs. The wide row is
-   [ local.1 | local.0 | pre.1 || global.2 ]: pre.1 is written where the dense module expects its x_0. */
-static const float *dn__run_pre(const dn__run *r, const float *rows)
-{
-   const dn__block *b = r->m->blocks;
-   float *x = r->n->wide + (r->n->wide_width - b[6].out - b[1].out);
-   dn__run_block(r, &b[0], r->g, rows, r->m->info.row_width, r->n->side, b[0].out);
-   dn__run_block(r, &b[1], r->g, r->n->side, b[0].out, x, r->n->wide_width);
-   return x;
-}
-/* MultiResGNet (T 3.3): a local branch on the mesh, a global one on the contracted mesh, side by side */
-static void dn__run_multiresgnet(const dn__run *r, const float *rows, float *y)
+/* A branch's pool on x (N,width): the contraction, and its coarse rows in n->coarse[0]. Dynamic pooling sets count and
+   graph in the copy c; the arrays are scratch. Returns 0 when this is bind's search, which ends here. */
+static int dn__run_pool(const dn__run *r, size_t which, const float *x, size_t stride, size_t width, dn_clusters *c)
 {
    const dn__net *n = r->n;
-   const dn__block *b = r->m->blocks;
-   size_t stride = n->wide_width, local = stride - b[6].out;
-   dn_clusters c = n->clusters; /* dynamic pooling sets count and graph in this copy; the arrays are scratch */
-   const float *x = dn__run_pre(r, rows);
+   const dn__branch *q = &r->m->branch[which];
+   *c = r->found ? r->found[which] : n->clusters[which];
    if (n->scores) {
-      dn_pool_scores(&r->m->pool, r->g, x, stride, n->scores, n->pool, r->par);
-      dn_pool_contract(r->g, n->scores, &c, n->pool);
-   } else dn_pool_rescore(&r->m->pool, r->g, x, stride, &c, r->par);
-   dn_pool_gather(&r->m->pool, &c, x, stride, b[1].out, n->coarse[0], b[1].out, r->par);
-   dn__tap(r, "pool", n->coarse[0], 0, c.count, b[1].out, b[1].out);
-   if (r->probe && r->probe->pool) r->probe->pool(r->probe->user, "pool", c.members, c.score, c.count);
-   dn__run_dense(r, 2, r->m->dense, 2, n->wide, stride, local);
-   dn__run_block(r, &b[4], &c.graph, n->coarse[0], b[1].out, n->coarse[1], b[4].out);
-   dn__run_block(r, &b[5], &c.graph, n->coarse[1], b[4].out, n->coarse[0], b[5].out);
-   dn_pool_scatter(&r->m->pool, &c, n->coarse[0], b[5].out, b[5].out, r->g->nodes, n->side, b[5].out, r->par);
-   dn__tap(r, "unpool", n->side, 0, r->g->nodes, b[5].out, b[5].out);
-   dn__run_block(r, &b[6], r->g, n->side, b[5].out, n->wide + local, stride); /* T 3.13 */
-   dn__run_tail(r, n->wide, stride, y);
+      dn_pool_scores(&q->pool, r->g, x, stride, n->scores, n->pool, r->par);
+      dn_pool_contract(r->g, n->scores, c, n->pool);
+   } else dn_pool_rescore(&q->pool, r->g, x, stride, c, r->par);
+   if (r->found) return r->found[which] = *c, 0;
+   dn_pool_gather(&q->pool, c, x, stride, width, n->coarse[0], width, r->par);
+   dn__tap(r, q->pool_name, n->coarse[0], 0, c->count, width, width);
+   if (r->probe && r->probe->pool) r->probe->pool(r->probe->user, q->pool_name, c->members, c->score, c->count);
+   return 1;
+}
+/* n->coarse[0] (M,width) back to the nodes: y (N,width) */
+static void dn__run_unpool(const dn__run *r, size_t which, const dn_clusters *c, size_t width, float *y, size_t stride)
+{
+   const dn__branch *q = &r->m->branch[which];
+   dn_pool_scatter(&q->pool, c, r->n->coarse[0], width, width, r->g->nodes, y, stride, r->par);
+   dn__tap(r, q->unpool_name, y, 0, r->g->nodes, width, stride);
+}
+/* Local and global side by side (T 3.3, 3.13), then the tail. x stands in the wide row at column `at`, and the branch
+   writes around it: [ .. local.1 | local.0 | x || global.2 .. ] */
+static void dn__run_local_global(const dn__run *r, size_t which, size_t at, float *y)
+{
+   const dn__net *n = r->n;
+   const dn__branch *q = &r->m->branch[which];
+   const dn__block *local = &r->m->blocks[q->first], *global = local + q->locals;
+   size_t stride = n->wide_width, width = local->in, made = global[-1].in + global[-1].out - width;
+   float *x = n->wide + at;
+   dn_clusters c;
+   if (!dn__run_pool(r, which, x, stride, width, &c)) return;
+   dn__run_dense(r, q->first, q->dense, q->locals, x - made, stride, made + width);
+   dn__run_block(r, &global[0], &c.graph, n->coarse[0], width, n->coarse[1], global[0].out);
+   dn__run_block(r, &global[1], &c.graph, n->coarse[1], global[0].out, n->coarse[0], global[1].out);
+   dn__run_unpool(r, which, &c, global[1].out, n->side, global[1].out);
+   dn__run_block(r, &global[2], r->g, n->side, global[1].out, x + width, stride); /* T 3.13 */
+   dn__run_tail(r, global + 3, x - made, stride, y);
+}
+/* MultiResGNet (T 3.3): pre.1 is written where the dense module expects its x_0 */
+static void dn__run_multiresgnet(const dn__run *r, const float *rows, float *y)
+{
+   const dn__block *b = r->m->blocks;
+   size_t at = r->n->wide_width - b[6].out - b[1].out;
+   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, r->n->side, b[0].out);
+   dn__run_block(r, &b[1], r->g, r->n->side, b[0].out, r->n->wide + at, r->n->wide_width);
+   dn__run_local_global(r, 0, at, y);
 }
 /* mlp, gat, neuroskinning: one block after the other */
 static void dn__run_chain(const dn__run *r, const float *rows, float *y)
 {
    const dn__block *b = r->m->blocks;
    const float *x = rows;
-   size_t i, stride = r->m->info.row_width, last = r->m->block_count - 1;
+   size_t i, stride = r->stage->row_width, last = r->m->block_count - 1;
    for (i = 0; i < last; i++) {
       float *out = i % 2 ? r->n->side : r->n->wide;
       dn__run_block(r, &b[i], r->g, x, stride, out, b[i].out);
@@ -5659,6 +6608,294 @@ static void dn__run_network(const dn__run *r, const float *rows, float *y)
    else dn__run_chain(r, rows, y);
 }
 
+/* ===================================================================================== >>garmentnets
+   in       rows (N,D) of the garment, alpha, beta, theta      out   displacement (N,3) before output.std/mean
+   touches  the frame's scratch
+   paper    coarse stage T 4.2, GarFitNet T 4.3, output decomposition T 4.8-4.10, clothing network C 4; spec section 5
+   read     dn__build_garment, then dn__run_garfitnet; the blocks, pools and tails they use are in >>networks
+
+   Each network ends in two branches, direction (three channels) and length (one). They run one after the other in the
+   same buffers. */
+
+/* --- output decomposition */
+static void dn__decompose_one(const float *direction, float length, float *y)
+{
+   float g[3], size, scale;
+   int k;
+   for (k = 0; k < 3; k++) g[k] = dn__tanh(direction[k]);                                           /* T 4.9 */
+   size = DN_SQRTF(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
+   scale = dn__activate(length, DN_ACT_RELU) / (size < 1e-12f ? 1.0f : size); /* a NaN passes through */
+   for (k = 0; k < 3; k++) y[k] = size < 1e-12f && dn__finite(scale) ? 0.0f : scale * g[k];        /* T 4.8, 4.10 */
+}
+typedef struct dn__decompose_job { const float *direction, *length; float *y; } dn__decompose_job;
+static void dn__decompose_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__decompose_job *j = (const dn__decompose_job *)job;
+   size_t i;
+   (void)worker;
+   for (i = begin; i < end; i++) dn__decompose_one(j->direction + 3 * i, j->length[i], j->y + 3 * i);
+}
+DN_API void dn_decompose(const float *direction, const float *length, size_t count, float *y)
+{
+   dn__decompose_job job;
+   job.direction = direction;
+   job.length = length;
+   job.y = y;
+   dn__decompose_range(&job, 0, count, 0);
+}
+
+/* --- what they are made of */
+static const char *const dn__heads[2] = { "dir.", "len." };
+static dn_activation dn__head_act(size_t k) { return k == 0 ? DN_ACT_TANH : DN_ACT_RELU; }
+
+/* stem0, stem1, stem2: alpha, beta, theta -> a code as wide as the rows that it multiplies */
+static void dn__add_parser(dn__loader *l, const char *stem, size_t code)
+{
+   size_t k, w = 0;
+   for (k = 0; k < 3; k++) {
+      char name[DN__NAME];
+      size_t in = w;
+      dn__number(name, sizeof name, stem, k, "");
+      w = dn__add_linear(l, name, &in, k == 2 ? code : 0, DN_ACT_RELU);
+      if (k == 0) l->model->info.parser = in;
+   }
+}
+static void dn__build_garment(dn__loader *l, dn_arch arch)
+{
+   dn__stage *stage = l->model->stage;
+   char prefix[DN__NAME], name[DN__NAME];
+   size_t k, in, w, x;
+   if (arch == DN_GARFIT_COARSE) { /* T 4.2: gat.0-3, dir.out, len.out */
+      in = 0;
+      w = dn__add_gat(l, "gat.0", &in, DN_ACT_TANH);
+      w = dn__add_gats(l, "gat.", 1, 4, w, DN_ACT_TANH);
+      stage->row_width = in;
+      dn__add_linear(l, "dir.out", &w, 3, DN_ACT_NONE);
+      dn__add_linear(l, "len.out", &w, 1, DN_ACT_NONE);
+   } else if (arch == DN_GARFITNET) { /* T 4.3: gat.0-1, fit.0-2, then each branch local.0-3, global.0-2, post.0-1, out */
+      in = 0;
+      x = dn__add_gat(l, "gat.0", &in, DN_ACT_TANH);
+      stage->row_width = in;
+      w = dn__add_gat(l, "gat.1", &x, DN_ACT_TANH);
+      x = dn__add(x, w);
+      dn__add_parser(l, "fit.", x);
+      for (k = 0; k < 2; k++) {
+         w = dn__add_local_global(l, dn__heads[k], k, 4, x, DN_ACT_TANH);
+         dn__add_tail(l, dn__heads[k], w, dn__head_act(k), k == 0 ? 3 : 1);
+      }
+   } else { /* C 4: coarse.gat, each branch gat.0-2, post.0-1, out; then the parser and the detail stage */
+      in = 0;
+      x = dn__add_gat(l, "coarse.gat", &in, DN_ACT_TANH);
+      stage[0].row_width = in;
+      for (k = 0; k < 2; k++) {
+         dn__join(prefix, sizeof prefix, "coarse.", dn__heads[k]);
+         dn__join(name, sizeof name, prefix, "gat.");
+         w = dn__add_gats(l, name, 0, 3, x, dn__head_act(k));
+         dn__add_tail(l, prefix, w, dn__head_act(k), k == 0 ? 3 : 1);
+      }
+      in = 0;
+      x = dn__add_gat(l, "detail.gat", &in, DN_ACT_TANH);
+      stage[1].row_width = in;
+      dn__add_parser(l, "parser.", x);
+      for (k = 0; k < 2; k++) { /* gat.0, pool, gat.1, gat.2, unpool, gat.3 */
+         size_t first = l->model->block_count;
+         dn__join(prefix, sizeof prefix, "detail.", dn__heads[k]);
+         dn__join(name, sizeof name, prefix, "gat.");
+         w = dn__add_gats(l, name, 0, 1, x, dn__head_act(k));
+         dn__add_branch(l, prefix, k, first, 0, w);
+         w = dn__add_gats(l, name, 1, 4, w, dn__head_act(k));
+         dn__add_tail(l, prefix, w, dn__head_act(k), k == 0 ? 3 : 1);
+      }
+   }
+}
+
+/* --- what a frame needs for one stage of a model */
+enum { DN__CLOTH_DETAIL = 13 /* clothnet's blocks: 0 coarse.gat, 1-6 and 7-12 its branches, 13 detail.gat, 14-16 parser,
+                                17-23 and 24-30 the branches */ };
+static size_t dn__stage_of(const dn__run *r) { return (size_t)(r->stage - r->m->stage); }
+/* Rows of a whole number of pages would all start in one set of the cache: the next 16 floats set them apart. */
+static size_t dn__pitch(size_t width) { return width != 0 && width % 512 == 0 ? dn__add(width, 16) : width; }
+static size_t dn__tail_width(const dn__block *post) { return dn__add(post[0].out, post[1].out); }
+
+/* s: the model's stage; workers, rest and neighbours as dn__net_layout */
+static void dn__garment_net_layout(dn__net *n, const dn_model *m, size_t s, size_t nodes, size_t neighbours,
+                                   const dn_clusters *rest, unsigned workers, dn__arena *a)
+{
+   const dn__block *b = m->blocks, *parser = NULL;
+   size_t k, count = m->block_count, pooled = 0;
+   memset(n, 0, sizeof *n);
+   if (m->info.arch == DN_GARFIT_COARSE) {
+      n->wide_width = dn__max(b[0].out, b[2].out);
+      n->side_width = dn__max(b[1].out, b[3].out);
+   } else if (m->info.arch == DN_GARFITNET) {
+      size_t before = 0, after = 0;
+      parser = b + 2;
+      pooled = 2;
+      n->coarse_width = b[1].in + b[1].out;
+      for (k = 0; k < 2; k++) {
+         const dn__block *global = b + m->branch[k].first + m->branch[k].locals;
+         before = dn__max(before, global[-1].in + global[-1].out - n->coarse_width);
+         after = dn__max(after, global[2].out);
+         n->side_width = dn__max(n->side_width, global[1].out);
+         n->coarse_width = dn__max(n->coarse_width, dn__max(global[0].out, global[1].out));
+         n->tile_width = dn__max(n->tile_width, dn__tail_width(global + 3));
+      }
+      n->wide_width = before + b[1].in + b[1].out + after;
+   } else if (s == 0) {
+      size_t beside = 0;
+      for (k = 0; k < 2; k++) {
+         const dn__block *q = b + 1 + 6 * k;
+         beside = dn__max(beside, dn__max(q[0].out, q[2].out));
+         n->side_width = dn__max(n->side_width, q[1].out);
+         n->tile_width = dn__max(n->tile_width, dn__tail_width(q + 3));
+      }
+      n->wide_width = b[0].out + beside;
+      count = DN__CLOTH_DETAIL;
+   } else {
+      b += DN__CLOTH_DETAIL;
+      count -= DN__CLOTH_DETAIL;
+      parser = b + 1;
+      pooled = 2;
+      n->wide_width = b[0].out;
+      for (k = 0; k < 2; k++) {
+         const dn__block *q = b + 4 + 7 * k;
+         n->side_width = dn__max(n->side_width, dn__max(q[0].out, q[2].out + q[3].out));
+         n->coarse_width = dn__max(n->coarse_width, dn__max(q[0].out, dn__max(q[1].out, q[2].out)));
+         n->tile_width = dn__max(n->tile_width, dn__tail_width(q + 4));
+      }
+   }
+   n->wide_width = dn__pitch(n->wide_width);
+   n->side_width = dn__pitch(n->side_width);
+   n->wide = (float *)dn__take(a, dn__mul(nodes, n->wide_width), sizeof(float));
+   n->side = (float *)dn__take(a, dn__mul(nodes, n->side_width), sizeof(float));
+   n->gat = dn__take(a, dn__block_scratch(b, count, nodes), 1);
+   n->tile = (float *)dn__take(a, dn__mul(dn__mul(workers, DN__TILE), n->tile_width), sizeof(float));
+   n->length = (float *)dn__take(a, nodes, sizeof(float));
+   if (parser) {
+      n->shape = (float *)dn__take(a, m->info.parser, sizeof(float));
+      n->code[0] = (float *)dn__take(a, dn__max(parser[0].out, parser[2].out), sizeof(float));
+      n->code[1] = (float *)dn__take(a, parser[1].out, sizeof(float));
+   }
+   if (pooled) dn__pool_layout(n, pooled, nodes, neighbours, rest, a);
+}
+
+/* --- how they run */
+/* relu layers on one row; the code is in n->code[0] */
+static void dn__run_parser(const dn__run *r, const dn__block *b)
+{
+   float *const *code = r->n->code;
+   const float *x = r->n->shape;
+   size_t k;
+   for (k = 0; k < 3; k++) {
+      float *y = code[k % 2];
+      dn_linear_run(&b[k].linear, x, b[k].in, 1, y, b[k].out, NULL);
+      dn__tap(r, b[k].name, y, 0, 1, b[k].out, b[k].out);
+      x = y;
+   }
+}
+typedef struct dn__hadamard_job { float *rows; size_t stride, width; const float *code; } dn__hadamard_job;
+static void dn__hadamard_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__hadamard_job *j = (const dn__hadamard_job *)job;
+   size_t i, k;
+   (void)worker;
+   for (i = begin; i < end; i++) {
+      float *row = j->rows + i * j->stride;
+      for (k = 0; k < j->width; k++) row[k] *= j->code[k];
+   }
+}
+/* the rows (N,width) times the parser's code, which is one row for all nodes */
+static void dn__run_hadamard(const dn__run *r, const dn__block *parser, float *rows, size_t stride)
+{
+   dn__hadamard_job j;
+   dn__run_parser(r, parser);
+   j.rows = rows;
+   j.stride = stride;
+   j.width = parser[2].out;
+   j.code = r->n->code[0];
+   dn__for(r->par, r->g->nodes, DN__TILE, dn__hadamard_range, &j);
+   dn__tap(r, "hadamard", rows, 0, r->g->nodes, j.width, stride);
+}
+/* direction in y, length in n->length -> y */
+static void dn__run_decompose(const dn__run *r, float *y)
+{
+   dn__decompose_job j;
+   j.direction = j.y = y;
+   j.length = r->n->length;
+   dn__for(r->par, r->g->nodes, 1024, dn__decompose_range, &j);
+}
+static void dn__run_garfit_coarse(const dn__run *r, const float *rows, float *y)
+{
+   const dn__net *n = r->n;
+   const dn__block *b = r->m->blocks;
+   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->wide, n->wide_width);
+   dn__run_block(r, &b[1], r->g, n->wide, n->wide_width, n->side, n->side_width);
+   dn__run_block(r, &b[2], r->g, n->side, n->side_width, n->wide, n->wide_width);
+   dn__run_block(r, &b[3], r->g, n->wide, n->wide_width, n->side, n->side_width);
+   dn__run_block(r, &b[4], r->g, n->side, n->side_width, y, 3);
+   dn__run_block(r, &b[5], r->g, n->side, n->side_width, n->length, 1);
+}
+/* GarFitNet (T 4.3). The wide row: [ local.3 .. local.0 | gat.1 | gat.0 || global.2 ], the middle two times the code */
+static void dn__run_garfitnet(const dn__run *r, const float *rows, float *y)
+{
+   const dn__net *n = r->n;
+   const dn__block *b = r->m->blocks;
+   size_t k, at = 0, stride = n->wide_width, x = b[1].in + b[1].out;
+   for (k = 0; k < 2; k++) {
+      const dn__block *last = b + r->m->branch[k].first + r->m->branch[k].locals - 1;
+      at = dn__max(at, last->in + last->out - x);
+   }
+   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->wide + at + b[1].out, stride);
+   dn__run_block(r, &b[1], r->g, n->wide + at + b[1].out, stride, n->wide + at, stride);
+   dn__run_hadamard(r, b + 2, n->wide + at, stride);
+   dn__run_local_global(r, 0, at, y);
+   dn__run_local_global(r, 1, at, n->length);
+}
+/* The clothing network's coarse stage (C 4). The wide row: [ coarse.gat | gat.0, later gat.2 ]; gat.1 is in side */
+static void dn__run_cloth_coarse(const dn__run *r, const float *rows, float *y)
+{
+   const dn__net *n = r->n;
+   const dn__block *b = r->m->blocks;
+   size_t k, stride = n->wide_width;
+   float *beside = n->wide + b[0].out;
+   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->wide, stride);
+   for (k = 0; k < 2; k++) {
+      const dn__block *q = b + 1 + 6 * k;
+      dn__run_block(r, &q[0], r->g, n->wide, stride, beside, stride);
+      dn__run_block(r, &q[1], r->g, beside, stride, n->side, n->side_width);
+      dn__run_block(r, &q[2], r->g, n->side, n->side_width, beside, stride);
+      dn__run_tail(r, q + 3, beside, stride, k == 0 ? y : n->length);
+   }
+}
+/* and its detail stage: side holds gat.0, later [ unpooled gat.2 | gat.3 ] */
+static void dn__run_cloth_detail(const dn__run *r, const float *rows, float *y)
+{
+   const dn__net *n = r->n;
+   const dn__block *b = r->m->blocks + DN__CLOTH_DETAIL;
+   size_t k, stride = n->side_width;
+   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->wide, n->wide_width);
+   dn__run_hadamard(r, b + 1, n->wide, n->wide_width);
+   for (k = 0; k < 2; k++) {
+      const dn__block *q = b + 4 + 7 * k;
+      dn_clusters c;
+      dn__run_block(r, &q[0], r->g, n->wide, n->wide_width, n->side, stride);
+      if (!dn__run_pool(r, k, n->side, stride, q[0].out, &c)) continue;
+      dn__run_block(r, &q[1], &c.graph, n->coarse[0], q[0].out, n->coarse[1], q[1].out);
+      dn__run_block(r, &q[2], &c.graph, n->coarse[1], q[1].out, n->coarse[0], q[2].out);
+      dn__run_unpool(r, k, &c, q[2].out, n->side, stride);
+      dn__run_block(r, &q[3], r->g, n->side, stride, n->side + q[2].out, stride);
+      dn__run_tail(r, q + 4, n->side + q[2].out, stride, k == 0 ? y : n->length);
+   }
+}
+static void dn__run_garment(const dn__run *r, const float *rows, float *y)
+{
+   if (r->m->info.arch == DN_GARFIT_COARSE) dn__run_garfit_coarse(r, rows, y);
+   else if (r->m->info.arch == DN_GARFITNET) dn__run_garfitnet(r, rows, y);
+   else if (dn__stage_of(r) == 0) dn__run_cloth_coarse(r, rows, y);
+   else dn__run_cloth_detail(r, rows, y);
+   if (!r->found) dn__run_decompose(r, y);
+}
+
 /* ===================================================================================== >>rig
    in       a model, a mesh with skin and skeleton as the engine holds them      out   dn_rig, dn_report
    touches  the rig's memory and scratch; the mesh is only read, and only here
@@ -5670,6 +6907,7 @@ struct dn_rig {
    const dn_model *model;         /* NULL: skins only */
    dn_rig_view view;
    dn_skinning skinning;
+   dn_kernel kernel;              /* of >>lbs */
    dn_allocator allocator;
    const dn_allocator *allocator_used; /* NULL: DN_MALLOC, or &allocator */
    int owned;
@@ -5683,6 +6921,8 @@ struct dn_rig {
 };
 
 typedef struct dn__bind { /* bind's scratch: the mesh in the library's own form */
+   const char *where;             /* for errors: "bind", or which mesh of a garment */
+   int bare;                      /* the mesh has no skin, and needs none */
    const dn_model *model;
    const dn_rig_desc *desc;
    dn_error *err;
@@ -5704,7 +6944,7 @@ typedef struct dn__bind { /* bind's scratch: the mesh in the library's own form 
 static const char dn__where_bind[] = "bind";
 static dn_result dn__bind_fail(const dn__bind *b, dn_result code, const char *what, size_t index, const char *problem)
 {
-   return dn__fail_sizes(b->err, code, dn__where_bind, index, what, index, NULL, 0, problem);
+   return dn__fail_sizes(b->err, code, b->where, index, what, index, NULL, 0, problem);
 }
 /* "triangle 7: vertex index 99, expected below 42" */
 static dn_result dn__bind_range(const dn__bind *b, dn_result code, const char *what, size_t at, const char *found, size_t value, size_t limit)
@@ -5717,14 +6957,14 @@ static dn_result dn__bind_range(const dn__bind *b, dn_result code, const char *w
    dn__put_size(&t, value);
    dn__put(&t, ", expected below ");
    dn__put_size(&t, limit);
-   return dn__fail(b->err, code, dn__where_bind, at, line);
+   return dn__fail(b->err, code, b->where, at, line);
 }
 static int dn__step(const dn__bind *b, const char *stage, float done) /* non-zero: cancelled */
 {
    const dn_progress *p = b->desc->progress;
    return p && p->step && p->step(p->user, stage, done);
 }
-static dn_result dn__cancelled(const dn__bind *b) { return dn__fail(b->err, DN_CANCELLED, dn__where_bind, SIZE_MAX, "cancelled by the progress callback"); }
+static dn_result dn__cancelled(const dn__bind *b) { return dn__fail(b->err, DN_CANCELLED, b->where, SIZE_MAX, "cancelled by the progress callback"); }
 
 /* --- the caller's arrays, whatever their type and stride */
 static size_t dn__type_size(dn_type t) { return t == DN_U8 || t == DN_U8N ? 1 : t == DN_U16 || t == DN_U16N ? 2 : 4; }
@@ -5764,33 +7004,41 @@ static void dn__position_at(const dn_mesh *m, size_t v, float p[3])
 }
 
 /* What the caller must get right is asserted; what may come from a file is checked in the steps below. */
-static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, dn_error *err)
+static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, const char *where, int bare, dn_error *err)
 {
    const dn_mesh *m = &desc->mesh;
    size_t v, s, k, i;
    memset(b, 0, sizeof *b);
+   b->where = where;
+   b->bare = bare;
    b->model = model;
    b->desc = desc;
    b->err = err;
    b->vertices = m->vertices;
    b->triangles = m->triangles;
    b->joints = desc->skeleton.joints;
-   if (m->vertices == 0) return dn__fail(err, DN_BAD_MESH, dn__where_bind, SIZE_MAX, "no vertices");
-   if (b->joints == 0 || m->skin_sets == 0) return dn__fail(err, DN_BAD_SKIN, dn__where_bind, SIZE_MAX, "no joints or no skin weights: the mesh is not skinned");
+   if (model && model->info.arch > DN_MULTIRESGNET) {
+      char line[120];
+      dn__join3(line, sizeof line, "the model is of the kind ", model->info.arch_name, dn__is_garment(model) ? ", which dn_garment_create takes" : ", which dn_blend_create takes");
+      return dn__fail(err, DN_UNSUPPORTED, where, SIZE_MAX, line);
+   }
+   if (m->vertices == 0) return dn__fail(err, DN_BAD_MESH, where, SIZE_MAX, "no vertices");
+   if (!bare && (b->joints == 0 || m->skin_sets == 0)) return dn__fail(err, DN_BAD_SKIN, where, SIZE_MAX, "no joints or no skin weights: the mesh is not skinned");
    if (m->vertices > DN__MOST || m->triangles > DN__MOST)
-      return dn__fail_sizes(err, DN_BAD_MESH, dn__where_bind, SIZE_MAX, m->vertices > DN__MOST ? "vertices: found " : "triangles: found ",
+      return dn__fail_sizes(err, DN_BAD_MESH, where, SIZE_MAX, m->vertices > DN__MOST ? "vertices: found " : "triangles: found ",
                             m->vertices > DN__MOST ? m->vertices : m->triangles, ", expected at most ", DN__MOST, NULL);
-   if (b->joints > DN_MAX_DIM) return dn__fail_sizes(err, DN_BAD_SKIN, dn__where_bind, SIZE_MAX, "joints: found ", b->joints, ", expected at most ", DN_MAX_DIM, NULL);
-   DN_ASSERT(m->positions && m->skin && (m->triangles == 0 || m->indices));
+   if (b->joints > DN_MAX_DIM) return dn__fail_sizes(err, DN_BAD_SKIN, where, SIZE_MAX, "joints: found ", b->joints, ", expected at most ", DN_MAX_DIM, NULL);
+   DN_ASSERT(m->positions && (bare || m->skin) && (m->triangles == 0 || m->indices));
    DN_ASSERT(m->triangles == 0 || m->index_type == DN_U16 || m->index_type == DN_U32);
-   for (s = 0; s < m->skin_sets; s++) {
+   for (s = 0; !bare && s < m->skin_sets; s++) {
       if (m->skin[s].influences == 0) continue;
       DN_ASSERT(m->skin[s].joints && m->skin[s].weights);
       DN_ASSERT(m->skin[s].joint_type == DN_U8 || m->skin[s].joint_type == DN_U16 || m->skin[s].joint_type == DN_U32);
       DN_ASSERT(m->skin[s].weight_type == DN_F32 || m->skin[s].weight_type == DN_U8N || m->skin[s].weight_type == DN_U16N);
    }
-   if (desc->resolution > 512) return dn__fail_sizes(err, DN_BAD_VALUE, dn__where_bind, SIZE_MAX, "resolution ", desc->resolution, ", at most ", 512, NULL);
-   if (!dn__finite(desc->weld_distance)) return dn__fail(err, DN_BAD_VALUE, dn__where_bind, SIZE_MAX, "weld_distance is not finite");
+   if (desc->resolution > 512) return dn__fail_sizes(err, DN_BAD_VALUE, where, SIZE_MAX, "resolution ", desc->resolution, ", at most ", 512, NULL);
+   if (!dn__finite(desc->weld_distance)) return dn__fail(err, DN_BAD_VALUE, where, SIZE_MAX, "weld_distance is not finite");
+   if (bare) return DN_OK;
    for (v = 0; v < m->vertices; v++) { /* how many influences are really used */
       for (i = 0, s = 0; s < m->skin_sets; s++)
          for (k = 0; k < m->skin[s].influences; k++) {
@@ -5802,7 +7050,7 @@ static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_
    }
    b->influences = dn__max(b->influences, 1);
    if (model) {
-      for (i = 0; i < model->info.feature_count; i++) b->wants_geodesic |= model->features[i] == DN_GEODESIC;
+      for (i = 0; i < model->info.feature_count; i++) b->wants_geodesic |= model->stage[0].features[i] == DN_GEODESIC;
       b->wants_clusters = model->info.arch == DN_MULTIRESGNET && model->info.pooling == DN_POOL_REST;
       b->model_joints = model->info.joints;
    }
@@ -5905,11 +7153,11 @@ static dn_result dn__bind_skin(dn__bind *b)
       float *weight = b->weight + v * b->influences;
       size_t n = 0;
       double sum = 0.0;
-      memset(joint, 0, b->influences * sizeof *joint);
-      memset(weight, 0, b->influences * sizeof *weight);
+      if (b->influences) memset(joint, 0, b->influences * sizeof *joint), memset(weight, 0, b->influences * sizeof *weight);
       dn__position_at(m, v, b->positions + 3 * v);
       for (k = 0; k < 3; k++)
          if (!dn__finite(b->positions[3 * v + k])) return dn__bind_fail(b, DN_BAD_MESH, "vertex ", v, ": its position is not finite");
+      if (b->bare) continue;
       for (s = 0; s < m->skin_sets; s++)
          for (k = 0; k < m->skin[s].influences; k++) {
             float w = dn__set_weight(&m->skin[s], v, k);
@@ -5972,11 +7220,12 @@ static dn_result dn__bind_prepare(dn__bind *b)
    dn_result r;
    if (dn__step(b, "weld", 0.0f)) return dn__cancelled(b);
    if ((r = dn__bind_skin(b)) != DN_OK) return r;
-   b->nodes = dn_weld(b->positions, b->vertices, b->joint, b->weight, b->influences, b->desc->weld_distance, b->node_of_vertex,
-                      b->first_vertex, &b->report.seams_apart, b->work);
+   b->nodes = dn__weld(b->positions, b->vertices, b->bare ? NULL : b->joint, b->bare ? NULL : b->weight, b->influences, b->desc->weld_distance, b->node_of_vertex,
+                       b->first_vertex, &b->report.seams_apart, b->work, b->desc->progress);
+   if (b->nodes == SIZE_MAX) return dn__cancelled(b);
    if ((r = dn__bind_triangles(b)) != DN_OK) return r;
    if (dn__step(b, "graph", 0.0f)) return dn__cancelled(b);
-   dn_graph_build(b->triangle, b->triangles, b->nodes, b->first, b->next, &g, b->work);
+   if (dn__graph_build(b->triangle, b->triangles, b->nodes, b->first, b->next, &g, b->work, b->desc->progress)) return dn__cancelled(b);
    b->neighbours = b->first[b->nodes];
    dn__bind_drop_degenerate(b);
    b->report.vertices = b->vertices;
@@ -6004,7 +7253,7 @@ static dn_result dn__bind_missing(dn__bind *b, const uint32_t *map)
    for (s = 0; s < b->model_joints; s++)
       if (map[s] == DN__NONE) dn__put(&t, " "), dn__put(&t, b->model->info.joint_names[s]);
    if (t.at == t.end) memcpy(t.end - 4, " ...", 4); /* the list did not fit; the count stands in front */
-   return dn__fail(b->err, DN_MISSING_JOINT, dn__where_bind, SIZE_MAX, line);
+   return dn__fail(b->err, DN_MISSING_JOINT, b->where, SIZE_MAX, line);
 }
 static dn_result dn__bind_joints(dn__bind *b, uint32_t *map, uint32_t *fold)
 {
@@ -6014,12 +7263,12 @@ static dn_result dn__bind_joints(dn__bind *b, uint32_t *map, uint32_t *fold)
    for (k = 0; k < b->joints; k++) fold[k] = (uint32_t)k;
    if (!want) { /* by index */
       if (b->model_joints && b->model_joints != b->joints)
-         return dn__fail_sizes(b->err, DN_MISSING_JOINT, dn__where_bind, SIZE_MAX, "the skeleton has ", b->joints, " joints, the model ", b->model_joints, " and no names");
+         return dn__fail_sizes(b->err, DN_MISSING_JOINT, b->where, SIZE_MAX, "the skeleton has ", b->joints, " joints, the model ", b->model_joints, " and no names");
       for (s = 0; s < b->model_joints; s++) map[s] = (uint32_t)s;
       b->report.joints_matched = b->model_joints;
       return DN_OK;
    }
-   if (!sk->names) return dn__fail(b->err, DN_MISSING_JOINT, dn__where_bind, SIZE_MAX, "the model names its joints, the skeleton has no names");
+   if (!sk->names) return dn__fail(b->err, DN_MISSING_JOINT, b->where, SIZE_MAX, "the model names its joints, the skeleton has no names");
    for (k = 0; k < b->joints; k++) fold[k] = DN__NONE;
    for (s = 0; s < b->model_joints; s++) {
       map[s] = DN__NONE;
@@ -6065,7 +7314,7 @@ static dn_result dn__bind_geodesic(dn__bind *b, const dn_rig *r, float *geodesic
    if (b->desc->geodesic) {
       size_t i, n = b->nodes * b->model_joints;
       if (b->desc->geodesic_nodes != b->nodes)
-         return dn__fail_sizes(b->err, DN_BAD_SHAPE, dn__where_bind, SIZE_MAX, "geodesic: ", b->desc->geodesic_nodes, " nodes given, the mesh has ", b->nodes, NULL);
+         return dn__fail_sizes(b->err, DN_BAD_SHAPE, b->where, SIZE_MAX, "geodesic: ", b->desc->geodesic_nodes, " nodes given, the mesh has ", b->nodes, NULL);
       for (i = 0; i < n; i++)
          if (!dn__finite(b->desc->geodesic[i])) return dn__bind_fail(b, DN_BAD_VALUE, "geodesic: node ", i / b->model_joints, " has a distance that is not finite");
       memcpy(geodesic, b->desc->geodesic, n * sizeof *geodesic);
@@ -6073,7 +7322,7 @@ static dn_result dn__bind_geodesic(dn__bind *b, const dn_rig *r, float *geodesic
    }
    result = dn_geodesic(r->view.rest, b->nodes, r->view.triangle, b->kept, r->view.joint_rest, b->model_joints, dn__resolution(b->desc), geodesic,
                         &b->report.solid_cells, &b->report.cell, b->work, b->work_bytes, b->desc->parallel, b->desc->progress);
-   return result == DN_OK ? DN_OK : result == DN_CANCELLED ? dn__cancelled(b) : dn__fail(b->err, result, dn__where_bind, SIZE_MAX, "geodesic distances");
+   return result == DN_OK ? DN_OK : result == DN_CANCELLED ? dn__cancelled(b) : dn__fail(b->err, result, b->where, SIZE_MAX, "geodesic distances");
 }
 static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r);
 
@@ -6085,6 +7334,7 @@ static dn_result dn__bind_finish(dn__bind *b, dn_rig *r)
    dn_result result;
    r->model = b->model;
    r->skinning = b->desc->skinning;
+   r->kernel = dn__kernel_best();
    v->vertices = V;
    v->nodes = v->graph.nodes = N;
    v->joints = b->joints;
@@ -6117,7 +7367,7 @@ DN_API dn_result dn_rig_size(const dn_model *model, const dn_rig_desc *desc, siz
    dn_rig measure;
    dn_result r;
    DN_ASSERT(desc && bytes && scratch);
-   if ((r = dn__bind_open(&b, model, desc, err)) != DN_OK) return r;
+   if ((r = dn__bind_open(&b, model, desc, dn__where_bind, 0, err)) != DN_OK) return r;
    dn__take(&kept, 1, sizeof(dn_rig));
    dn__rig_layout(&measure, &b, b.vertices, dn__mul(b.triangles, 6), b.triangles, &kept);
    dn__bind_memory(&b, &temp);
@@ -6144,7 +7394,7 @@ static dn_result dn__rig_build(dn__bind *b, void *memory, size_t bytes, dn_rig *
 static dn_result dn__bind_start(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, void *scratch, size_t scratch_bytes, dn_error *err)
 {
    dn__arena temp = dn__arena_of(scratch, scratch_bytes);
-   dn_result r = dn__bind_open(b, model, desc, err);
+   dn_result r = dn__bind_open(b, model, desc, dn__where_bind, 0, err);
    if (r != DN_OK) return r;
    dn__bind_memory(b, &temp);
    if (temp.used > scratch_bytes) return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_bind, SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", temp.used, NULL);
@@ -6210,6 +7460,7 @@ DN_API void dn_rig_describe(const dn_rig *rig, dn_rig_view *view) { *view = rig-
 
 typedef struct dn__frame {    /* the scratch, carved the same way by every stage */
    float *palette;            /* (S,12) model space */
+   float *wide;               /* (S,16) the same, each joint on a cache line; LBS only */
    float *seen;               /* (S,12) what the network sees: root frame, extra joints folded */
    float *dual;               /* (S,8) dual quaternions of palette, DQS only */
    float *posed;              /* (S_model,3) joints, in the network's frame */
@@ -6231,6 +7482,7 @@ static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, s
    size_t width = m ? m->info.row_width : 0;
    memset(f, 0, sizeof *f);
    f->palette = (float *)dn__take(a, dn__mul(joints, 12), sizeof(float));
+   f->wide = dual ? NULL : (float *)dn__take(a, dn__mul(joints, 16), sizeof(float));
    f->seen = (float *)dn__take(a, dn__mul(joints, 12), sizeof(float));
    f->dual = dual ? (float *)dn__take(a, dn__mul(joints, 8), sizeof(float)) : NULL;
    f->posed = (float *)dn__take(a, dn__mul(m ? m->info.joints : 0, 3), sizeof(float));
@@ -6291,7 +7543,7 @@ static void dn__skin_range(void *job, size_t begin, size_t end, unsigned worker)
       for (v = begin; v < end; v++) memcpy(j->f->skinned + 3 * v, (const unsigned char *)j->pose->skinned + v * stride, 12);
    } else if (r->skinning == DN_DQS)
       dn__dqs_range(r->rest_vertices, r->view.skin_joint, r->view.skin_weight, r->view.influences, j->f->dual, begin, end, j->f->skinned);
-   else dn__lbs_range(r->rest_vertices, r->view.skin_joint, r->view.skin_weight, r->view.influences, j->f->palette, begin, end, j->f->skinned);
+   else dn__lbs_run(r->kernel, r->rest_vertices, r->view.skin_joint, r->view.skin_weight, r->view.influences, j->f->palette, j->f->wide, begin, end, j->f->skinned);
 }
 DN_API dn_result dn_stage_skin(const dn_rig *rig, const dn_pose *pose, void *scratch, size_t scratch_bytes,
                                const dn_parallel *parallel, dn_error *err)
@@ -6309,6 +7561,7 @@ DN_API dn_result dn_stage_skin(const dn_rig *rig, const dn_pose *pose, void *scr
    for (s = 0; s < rig->view.joints; s++) {
       dn__load_matrix(pose->palette + floats * s, pose->matrix, f.palette + 12 * s);
       f.state[1] &= (uint32_t)dn__finite12(f.palette + 12 * s);
+      if (f.wide) memcpy(f.wide + 16 * s, f.palette + 12 * s, 12 * sizeof(float));
    }
    if (rig->skinning == DN_DQS) dn__dual_quaternions(f.palette, rig->view.joints, f.dual);
    job.r = rig;
@@ -6349,8 +7602,8 @@ static void dn__rows_range(void *job, size_t begin, size_t end, unsigned worker)
    const dn__rows_job *j = (const dn__rows_job *)job;
    const dn_rig_view *v = &j->r->view;
    const dn__frame *f = j->f;
-   const dn_model_info *m = &j->r->model->info;
-   size_t k, D = m->row_width;
+   const dn__stage *m = &j->r->model->stage[0];
+   size_t k, D = m->row_width, joints = j->r->model->info.joints;
    float *rows = f->rows;
    (void)worker;
    dn__normals_fine_range(f->framed, f->low, v->triangle, j->r->corner_first, j->r->corner_tri, begin, end, f->normals);
@@ -6362,8 +7615,9 @@ static void dn__rows_range(void *job, size_t begin, size_t end, unsigned worker)
          rows += 3;
          break;
       case DN_NORMAL: dn__rows_normal(f->normals, begin, end, rows, D); rows += 3; break;
-      case DN_GEODESIC: dn__rows_geodesic(v->geodesic, m->joints, begin, end, rows, D); rows += m->joints; break;
-      case DN_DISTANCE: dn__rows_distance(f->framed, f->posed, m->joints, begin, end, rows, D); rows += m->joints; break;
+      case DN_GEODESIC: dn__rows_geodesic(v->geodesic, joints, begin, end, rows, D); rows += joints; break;
+      case DN_DISTANCE: dn__rows_distance(f->framed, f->posed, joints, begin, end, rows, D); rows += joints; break;
+      case DN_FIT: /* garments only */
       default: break;
       }
    }
@@ -6387,47 +7641,64 @@ DN_API void dn_stage_rows(const dn_rig *rig, void *scratch, const dn_parallel *p
 }
 
 /* --- stage 3: the network, and its output made displacements in model space */
+typedef struct dn__scale_job { const dn__stage *stage; const float *root; float *rows; } dn__scale_job;
 static void dn__normalise_range(void *job, size_t begin, size_t end, unsigned worker)
 {
-   const dn__rows_job *j = (const dn__rows_job *)job;
-   const dn_model *m = j->r->model;
-   size_t i, k, D = m->info.row_width;
+   const dn__scale_job *j = (const dn__scale_job *)job;
+   const dn__stage *m = j->stage;
+   size_t i, k, D = m->row_width;
    (void)worker;
    for (i = begin; i < end; i++)
-      for (k = 0; k < D; k++) j->f->rows[i * D + k] = (j->f->rows[i * D + k] - m->input_mean[k]) * m->input_scale[k];
+      for (k = 0; k < D; k++) j->rows[i * D + k] = (j->rows[i * D + k] - m->input_mean[k]) * m->input_scale[k];
 }
+static void dn__normalise(const dn__stage *stage, float *rows, size_t nodes, const dn_parallel *parallel)
+{
+   dn__scale_job job;
+   job.stage = stage;
+   job.root = NULL;
+   job.rows = rows;
+   if (stage->input_mean) dn__for(parallel, nodes, 512, dn__normalise_range, &job);
+}
+/* the network's output, in its units and frame, to displacements in model space */
 static void dn__displace_range(void *job, size_t begin, size_t end, unsigned worker)
 {
-   const dn__rows_job *j = (const dn__rows_job *)job;
-   const dn_model *m = j->r->model;
+   const dn__scale_job *j = (const dn__scale_job *)job;
+   const dn__stage *m = j->stage;
    size_t i, k;
    (void)worker;
    for (i = begin; i < end; i++) {
-      float *d = j->f->displacement + 3 * i;
+      float *d = j->rows + 3 * i;
       for (k = 0; k < 3; k++) d[k] = d[k] * m->output_std[k] + m->output_mean[k];
-      dn__rotate(j->f->root, d, d);
+      dn__rotate(j->root, d, d);
    }
+}
+static void dn__displace(const dn__stage *stage, const float root[9], float *displacement, size_t nodes, const dn_parallel *parallel)
+{
+   dn__scale_job job;
+   job.stage = stage;
+   job.root = root;
+   job.rows = displacement;
+   dn__for(parallel, nodes, 1024, dn__displace_range, &job);
 }
 DN_API void dn_stage_network(const dn_rig *rig, void *scratch, const dn_parallel *parallel, const dn_probe *probe)
 {
    dn__frame f = dn__frame_of(rig, scratch, dn__workers(parallel));
-   dn__rows_job job;
    dn__run run;
    size_t i, k, nodes = rig->view.nodes;
    if (!rig->model) {
       memset(f.displacement, 0, 3 * nodes * sizeof *f.displacement);
       return;
    }
-   job.r = rig;
-   job.f = &f;
-   if (rig->model->input_mean) dn__for(parallel, nodes, 512, dn__normalise_range, &job);
+   dn__normalise(&rig->model->stage[0], f.rows, nodes, parallel);
    run.m = rig->model;
+   run.stage = &rig->model->stage[0];
    run.g = &rig->view.graph;
    run.n = &f.net;
    run.par = parallel;
    run.probe = probe;
+   run.found = NULL;
    dn__run_network(&run, f.rows, f.displacement);
-   dn__for(parallel, nodes, 1024, dn__displace_range, &job);
+   dn__displace(run.stage, f.root, f.displacement, nodes, parallel);
    for (i = 0; i < nodes; i++) { /* the worst case is always the skinned mesh */
       float *d = f.displacement + 3 * i;
       int good = 1;
@@ -6553,8 +7824,6 @@ static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r)
    dn_pose pose;
    dn__frame f;
    dn__run run;
-   dn__rows_job job;
-   const float *x;
    dn_result result;
    if (dn__step(b, "rest pooling", 0.0f)) return dn__cancelled(b);
    for (s = 0; s < b->joints; s++)
@@ -6564,21 +7833,4120 @@ static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r)
    if ((result = dn_stage_skin(r, &pose, scratch, bytes, par, b->err)) != DN_OK) return result;
    dn_stage_rows(r, scratch, par);
    f = dn__frame_of(r, scratch, dn__workers(par));
-   job.r = r;
-   job.f = &f;
-   if (r->model->input_mean) dn__for(par, b->nodes, 512, dn__normalise_range, &job);
+   dn__normalise(&r->model->stage[0], f.rows, b->nodes, par);
    run.m = r->model;
+   run.stage = &r->model->stage[0];
    run.g = &r->view.graph;
    run.n = &f.net;
    run.par = par;
    run.probe = NULL;
-   x = dn__run_pre(&run, f.rows);
-   dn_pool_scores(&r->model->pool, run.g, x, f.net.wide_width, f.net.scores, f.net.pool, par);
-   dn_pool_contract(run.g, f.net.scores, &r->clusters, f.net.pool);
+   run.found = &r->clusters;
+   dn__run_network(&run, f.rows, NULL);
    r->has_clusters = 1;
    return DN_OK;
 }
 
+
+/* ===================================================================================== >>kit
+   in       rest positions, distance matrices, posed meshes, shape files
+   out      association, evenly spread nodes, fit factors, signed distances, positions free of collisions, dn_shape
+   touches  the memory and scratch passed in, nothing else: no allocation but in dn_shape_load, no statics
+   paper    T 4.3-4.4, C 3, 4.1, 5.1; spec sections 4 (factor analysis) and 5 (association)
+   read     dn_associate_ref, dn_factor_fit, then dn_surface_distance_ref, dn__collide_one */
+enum { DN__KIT_GRAIN = 64 /* points a range of the parallel loop */, DN__GRID_SIDE = 1024, DN__LEAF = 2, DN__DEEP = 32,
+       DN__SHAPE_BLOCK = 512 };
+
+static double dn__square_distance(const float *a, const float *b) /* exact to the last bit or two: differences are exact */
+{
+   double x = (double)a[0] - (double)b[0], y = (double)a[1] - (double)b[1], z = (double)a[2] - (double)b[2];
+   return x * x + y * y + z * z;
+}
+
+/* --- association. A grid over the body's box; a point looks at its own cell, then at the shell around it, until the
+   best is nearer than anything further out can be. */
+typedef struct dn__grid {
+   double low[3], cell;
+   size_t side[3];
+   uint32_t *first; /* (cells+1) */
+   uint32_t *node;  /* (B) by cell, ascending within one */
+} dn__grid;
+static size_t dn__grid_cells(size_t nodes) { return dn__add(dn__mul(nodes, 4), 8); }
+static void dn__grid_layout(dn__grid *g, size_t nodes, dn__arena *a)
+{
+   g->first = (uint32_t *)dn__take(a, dn__add(dn__grid_cells(nodes), 1), sizeof(uint32_t));
+   g->node = (uint32_t *)dn__take(a, nodes, sizeof(uint32_t));
+}
+static size_t dn__grid_place(const dn__grid *g, int axis, double offset) /* cell of low + offset, held inside */
+{
+   double c = offset / g->cell;
+   size_t last = g->side[axis] - 1;
+   return c > 0.0 ? c < (double)last ? (size_t)c : last : 0;
+}
+static size_t dn__grid_cell(const dn__grid *g, const float *p)
+{
+   size_t x = dn__grid_place(g, 0, (double)p[0] - g->low[0]), y = dn__grid_place(g, 1, (double)p[1] - g->low[1]);
+   return (dn__grid_place(g, 2, (double)p[2] - g->low[2]) * g->side[1] + y) * g->side[0] + x;
+}
+static void dn__grid_build(dn__grid *g, const float *p, size_t nodes)
+{
+   double high[3], longest = 0.0;
+   size_t i, cells, sides;
+   uint32_t total = 0;
+   int k;
+   for (k = 0; k < 3; k++) g->low[k] = high[k] = (double)p[k];
+   for (i = 1; i < nodes; i++)
+      for (k = 0; k < 3; k++) {
+         double v = (double)p[3 * i + (size_t)k];
+         if (v < g->low[k]) g->low[k] = v;
+         if (v > high[k]) high[k] = v;
+      }
+   for (k = 0; k < 3; k++) longest = high[k] - g->low[k] > longest ? high[k] - g->low[k] : longest;
+   g->cell = longest > 0.0 ? longest : 1.0;
+   g->side[0] = g->side[1] = g->side[2] = 1;
+   for (sides = 2; longest > 0.0 && sides <= DN__GRID_SIDE; sides++) { /* the finest cubes that still fit the memory */
+      size_t side[3];
+      double cell = longest / (double)sides;
+      for (k = 0; k < 3; k++) side[k] = (size_t)((high[k] - g->low[k]) / cell) + 1;
+      if (dn__mul(dn__mul(side[0], side[1]), side[2]) > dn__grid_cells(nodes)) break;
+      g->cell = cell;
+      memcpy(g->side, side, sizeof side);
+   }
+   cells = g->side[0] * g->side[1] * g->side[2];
+   memset(g->first, 0, (cells + 1) * sizeof *g->first);
+   for (i = 0; i < nodes; i++) g->first[dn__grid_cell(g, p + 3 * i)]++;
+   for (i = 0; i < cells; i++) { /* counts -> row starts */
+      uint32_t count = g->first[i];
+      g->first[i] = total;
+      total += count;
+   }
+   for (i = 0; i < nodes; i++) g->node[g->first[dn__grid_cell(g, p + 3 * i)]++] = (uint32_t)i;
+   for (i = cells; i > 0; i--) g->first[i] = g->first[i - 1]; /* each start had moved to its row's end */
+   g->first[0] = 0;
+}
+typedef struct dn__associate_job { const dn__grid *g; const float *body, *points; uint32_t *nearest; } dn__associate_job;
+static void dn__associate_row(const dn__associate_job *j, const float *p, size_t cell, size_t count, double *best, uint32_t *who)
+{
+   uint32_t e, end = j->g->first[cell + count];
+   for (e = j->g->first[cell]; e < end; e++) {
+      uint32_t n = j->g->node[e];
+      double d = dn__square_distance(p, j->body + 3 * (size_t)n);
+      if (d < *best || (d == *best && n < *who)) *best = d, *who = n;
+   }
+}
+static void dn__associate_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__associate_job *j = (const dn__associate_job *)job;
+   const dn__grid *g = j->g;
+   size_t i;
+   (void)worker;
+   for (i = begin; i < end; i++) {
+      const float *p = j->points + 3 * i;
+      size_t home[3], low[3], high[3], r, y, z;
+      double at[3], best = -1.0, bound;
+      uint32_t who = DN__NONE;
+      int k;
+      for (k = 0; k < 3; k++) {
+         at[k] = (double)p[k] - g->low[k];
+         home[k] = dn__grid_place(g, k, at[k]);
+      }
+      best = dn__square_distance(p, j->body); /* node 0: some finite bound */
+      who = 0;
+      for (r = 0;; r++) {
+         int whole = 1;
+         bound = 1e300; /* how near a node outside this block of cells can be */
+         for (k = 0; k < 3; k++) {
+            double out;
+            low[k] = home[k] > r ? home[k] - r : 0;
+            high[k] = dn__min(home[k] + r, g->side[k] - 1);
+            if (low[k] > 0) whole = 0, out = at[k] - (double)low[k] * g->cell, bound = out < bound ? out : bound;
+            if (high[k] + 1 < g->side[k]) whole = 0, out = (double)(high[k] + 1) * g->cell - at[k], bound = out < bound ? out : bound;
+         }
+         for (z = low[2]; z <= high[2]; z++)
+            for (y = low[1]; y <= high[1]; y++) {
+               size_t row = (z * g->side[1] + y) * g->side[0];
+               if (r == 0 || z + r == home[2] || z == home[2] + r || y + r == home[1] || y == home[1] + r)
+                  dn__associate_row(j, p, row + low[0], high[0] - low[0] + 1, &best, &who); /* a row of the shell's sides */
+               else {
+                  if (home[0] >= r) dn__associate_row(j, p, row + low[0], 1, &best, &who);
+                  if (home[0] + r < g->side[0]) dn__associate_row(j, p, row + high[0], 1, &best, &who);
+               }
+            }
+         bound -= 1e-9 * g->cell; /* the rounding of offset / cell */
+         if (whole || (bound > 0.0 && best < bound * bound)) break;
+      }
+      j->nearest[i] = who;
+   }
+}
+DN_API size_t dn_associate_scratch(size_t body_nodes)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__grid g;
+   dn__grid_layout(&g, body_nodes, &a);
+   return dn__gauge(&a);
+}
+DN_API void dn_associate(const float *body, size_t body_nodes, const float *points, size_t count, uint32_t *nearest,
+                         void *scratch, const dn_parallel *parallel)
+{
+   dn__arena a = dn__arena_of(scratch, SIZE_MAX);
+   dn__grid g;
+   dn__associate_job job;
+   DN_ASSERT(body_nodes > 0 && body_nodes < DN__NONE / 4 && scratch);
+   dn__grid_layout(&g, body_nodes, &a);
+   dn__grid_build(&g, body, body_nodes);
+   job.g = &g;
+   job.body = body;
+   job.points = points;
+   job.nearest = nearest;
+   dn__for(parallel, count, DN__KIT_GRAIN, dn__associate_range, &job);
+}
+DN_API void dn_associate_ref(const float *body, size_t body_nodes, const float *points, size_t count, uint32_t *nearest)
+{
+   size_t i, n;
+   DN_ASSERT(body_nodes > 0);
+   for (i = 0; i < count; i++) {
+      double best = dn__square_distance(points + 3 * i, body);
+      nearest[i] = 0;
+      for (n = 1; n < body_nodes; n++) {
+         double d = dn__square_distance(points + 3 * i, body + 3 * n);
+         if (d < best) best = d, nearest[i] = (uint32_t)n; /* lowest index of several: only a nearer one replaces it */
+      }
+   }
+}
+
+/* --- even selection */
+DN_API double dn_area(const float *positions, const uint32_t *triangle, size_t triangles)
+{
+   double area = 0.0;
+   size_t t;
+   for (t = 0; t < triangles; t++) {
+      const float *a = positions + 3 * (size_t)triangle[3 * t], *b = positions + 3 * (size_t)triangle[3 * t + 1];
+      const float *c = positions + 3 * (size_t)triangle[3 * t + 2];
+      double u[3], v[3], x, y, z;
+      int k;
+      for (k = 0; k < 3; k++) u[k] = (double)b[k] - (double)a[k], v[k] = (double)c[k] - (double)a[k];
+      x = u[1] * v[2] - u[2] * v[1];
+      y = u[2] * v[0] - u[0] * v[2];
+      z = u[0] * v[1] - u[1] * v[0];
+      area += 0.5 * DN_SQRT(x * x + y * y + z * z);
+   }
+   return area;
+}
+static void dn__spread_layout(dn__weld_grid *w, size_t nodes, dn__arena *a)
+{
+   *w = dn__weld_layout(a, nodes); /* its hash grid; tail is not used */
+}
+DN_API size_t dn_even_selection_scratch(size_t nodes)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__weld_grid w;
+   dn__spread_layout(&w, nodes, &a);
+   return dn__gauge(&a);
+}
+/* by index, each node at least `reach` from those kept before it, until `wanted` are kept; returns how many were */
+static size_t dn__spread(const float *positions, size_t nodes, double square, size_t wanted, uint32_t *kept, dn__weld_grid *w)
+{
+   double cell = DN_SQRT(square) * 1.0001; /* the hair covers the rounding of position / cell */
+   size_t n, count = 0;
+   memset(w->head, 0xff, (w->mask + 1) * sizeof *w->head);
+   for (n = 0; n < nodes && count < wanted; n++) {
+      const float *p = positions + 3 * n;
+      double home[3], c[3];
+      int k, taken = 0;
+      size_t bucket;
+      if (nodes - n < wanted - count) return count; /* cannot be reached any more */
+      for (k = 0; k < 3; k++) home[k] = dn__floor((double)p[k] / cell);
+      for (k = 0; k < 27 && !taken; k++) {
+         uint32_t m;
+         c[0] = home[0] + (double)(k % 3 - 1);
+         c[1] = home[1] + (double)(k / 3 % 3 - 1);
+         c[2] = home[2] + (double)(k / 9 - 1);
+         for (m = w->head[dn__hash3(c) & w->mask]; m != DN__NONE && !taken; m = w->next[m])
+            taken = dn__square_distance(p, positions + 3 * (size_t)m) < square;
+      }
+      if (taken) continue;
+      bucket = dn__hash3(home) & w->mask;
+      w->next[n] = w->head[bucket];
+      w->head[bucket] = (uint32_t)n;
+      kept[count++] = (uint32_t)n;
+   }
+   return count;
+}
+DN_API dn_result dn_even_selection(const float *positions, size_t nodes, double area, size_t wanted, uint32_t *selection,
+                                   unsigned *spacing, void *scratch, dn_error *err)
+{
+   dn__arena arena = dn__arena_of(scratch, SIZE_MAX);
+   dn__weld_grid w;
+   unsigned c;
+   size_t i;
+   DN_ASSERT(nodes < DN__NONE && scratch && selection);
+   if (nodes < wanted)
+      return dn__fail_sizes(err, DN_BAD_MESH, "even selection", SIZE_MAX, "found ", nodes, " nodes, expected at least the ", wanted, " wanted");
+   dn__spread_layout(&w, nodes, &arena);
+   for (c = 1; c <= 4096; c++) { /* C 4.1: r = sqrt(A / (C N*)) */
+      double square = wanted ? area / ((double)c * (double)wanted) : 0.0;
+      if (!(square > 1e-300 && square < 1e300)) break; /* no area: nothing is closer than nothing */
+      if (dn__spread(positions, nodes, square, wanted, selection, &w) == wanted) {
+         if (spacing) *spacing = c;
+         return DN_OK;
+      }
+   }
+   for (i = 0; i < wanted; i++) selection[i] = (uint32_t)i;
+   if (spacing) *spacing = 4097;
+   return DN_OK;
+}
+
+/* --- smoothing */
+typedef struct dn__smooth_job { const dn_graph *g; const float *from; float *to; float factor; } dn__smooth_job;
+static void dn__smooth_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__smooth_job *j = (const dn__smooth_job *)job;
+   size_t i, k;
+   (void)worker;
+   for (i = begin; i < end; i++) {
+      uint32_t e, first = j->g->first[i], last = j->g->first[i + 1];
+      const float *p = j->from + 3 * i;
+      double sum[3] = { 0.0, 0.0, 0.0 };
+      for (e = first; e < last; e++)
+         for (k = 0; k < 3; k++) sum[k] += (double)j->from[3 * (size_t)j->g->next[e] + k];
+      for (k = 0; k < 3; k++) /* p += factor (mean - p)                                                     C 5.1 */
+         j->to[3 * i + k] = first == last ? p[k]
+                          : (float)((double)p[k] + (double)j->factor * (sum[k] / (double)(last - first) - (double)p[k]));
+   }
+}
+DN_API void dn_smooth(const dn_graph *g, float *positions, unsigned iterations, float factor, float *scratch,
+                      const dn_parallel *parallel)
+{
+   dn__smooth_job job;
+   float *from = positions, *to = scratch, *swap;
+   job.g = g;
+   job.factor = factor;
+   for (; iterations; iterations--) {
+      job.from = from;
+      job.to = to;
+      dn__for(parallel, g->nodes, DN__KIT_GRAIN, dn__smooth_range, &job);
+      swap = from, from = to, to = swap;
+   }
+   if (from != positions) memcpy(positions, from, 3 * g->nodes * sizeof *positions);
+}
+
+/* --- factor analysis. Natural logarithm of a normal number: x = m 2^k with m in [1/sqrt 2, sqrt 2), and
+   log m = 2 artanh s = 2 (s + s^3/3 + ... ), s = (m - 1) / (m + 1), |s| < 0.172: after s^23 the rest is under 1e-18.
+   Within 3e-16 of itself, or 1e-16 where |log x| < 0.3. */
+static double dn__log(double x)
+{
+   uint64_t bits;
+   int k, n;
+   double m, s, square, sum = 0.0;
+   memcpy(&bits, &x, 8);
+   k = (int)(bits >> 52 & 2047u) - 1023;
+   bits = (bits & 0xfffffffffffffu) | (uint64_t)1023 << 52;
+   memcpy(&m, &bits, 8);
+   if (m > 1.4142135623730951) m *= 0.5, k++;
+   s = (m - 1.0) / (m + 1.0);
+   square = s * s;
+   for (n = 23; n > 1; n -= 2) sum = (sum + 1.0 / (double)n) * square;
+   return (double)k * 1.9082149292705877e-10 + (2.0 * s + 2.0 * s * sum + (double)k * 0.6931471803691238); /* ln 2 in two parts */
+}
+
+/* Eigenvalues, falling, and eigenvectors, as rows, of a symmetric matrix a (n,n), which is destroyed: Householder's
+   reflections to a tridiagonal matrix, then QR steps with Wilkinson's shift (Golub and Van Loan, 8.3). z (n,n) rows are
+   unit vectors; d (n); e, v, w (n) scratch. */
+static void dn__eigen(double *a, size_t n, double *d, double *z, double *e, double *v, double *w)
+{
+   size_t i, j, k, step, high, steps = 60 * n;
+   double norm = 0.0;
+   for (k = 0; k + 2 < n; k++) { /* H = I - beta v v^T takes column k to (.., alpha, 0, ..); v stays in a's column k */
+      double square = 0.0, alpha, beta = 0.0, half = 0.0;
+      for (i = k + 1; i < n; i++) v[i] = a[i * n + k], square += v[i] * v[i];
+      alpha = v[k + 1] > 0.0 ? -DN_SQRT(square) : DN_SQRT(square);
+      if (square - v[k + 1] * v[k + 1] > 0.0) {
+         v[k + 1] -= alpha;
+         for (square = 0.0, i = k + 1; i < n; i++) square += v[i] * v[i];
+         beta = 2.0 / square;
+      } else alpha = v[k + 1]; /* nothing to take away */
+      d[k] = a[k * n + k];
+      e[k] = alpha;
+      for (i = k + 1; i < n; i++) {
+         double sum = 0.0;
+         for (j = k + 1; j < n; j++) sum += a[i * n + j] * v[j];
+         w[i] = beta * sum;
+         half += 0.5 * beta * w[i] * v[i];
+      }
+      for (i = k + 1; i < n; i++) w[i] -= half * v[i];
+      if (beta > 0.0)
+         for (i = k + 1; i < n; i++) /* A = H A H = A - v w^T - w v^T */
+            for (j = k + 1; j < n; j++) a[i * n + j] -= v[i] * w[j] + w[i] * v[j];
+      for (i = k + 1; i < n; i++) a[i * n + k] = v[i];
+      a[k * n + k] = beta;
+   }
+   if (n > 1) {
+      d[n - 2] = a[(n - 2) * n + n - 2];
+      e[n - 2] = a[(n - 1) * n + n - 2];
+   }
+   d[n - 1] = a[n * n - 1];
+   memset(z, 0, n * n * sizeof *z); /* Q^T = .. H_1 H_0, built from the last reflection on: row r of z is column r of Q */
+   for (i = 0; i < n; i++) z[i * n + i] = 1.0;
+   for (k = n; k-- > 0;) {
+      double beta = k + 2 < n ? a[k * n + k] : 0.0;
+      if (!(beta > 0.0)) continue;
+      for (i = k + 1; i < n; i++) {
+         double sum = 0.0;
+         for (j = k + 1; j < n; j++) sum += z[i * n + j] * a[j * n + k];
+         sum *= beta;
+         for (j = k + 1; j < n; j++) z[i * n + j] -= sum * a[j * n + k];
+      }
+   }
+   for (i = 0; i < n; i++) norm = DN_FABS(d[i]) > norm ? DN_FABS(d[i]) : norm;
+   for (high = n - 1, step = 0; high > 0 && step < steps; step++) {
+      size_t low = high;
+      double shift, x, y;
+      while (low > 0 && DN_FABS(e[low - 1]) > 1e-16 * (DN_FABS(d[low - 1]) + DN_FABS(d[low])) && DN_FABS(e[low - 1]) > 1e-18 * norm) low--;
+      if (low == high) { /* an eigenvalue stands alone */
+         high--;
+         continue;
+      }
+      x = 0.5 * (d[high - 1] - d[high]);
+      y = DN_SQRT(x * x + e[high - 1] * e[high - 1]);
+      shift = d[high] - e[high - 1] * e[high - 1] / (x > 0.0 ? x + y : x - y);
+      x = d[low] - shift;
+      y = e[low];
+      for (k = low; k < high; k++) { /* chase the bulge down */
+         double r = DN_SQRT(x * x + y * y), c = r > 0.0 ? x / r : 1.0, s = r > 0.0 ? y / r : 0.0, p = d[k], q = d[k + 1], b = e[k];
+         double *up = z + k * n, *down = up + n;
+         if (k > low) e[k - 1] = r;
+         d[k] = c * c * p + 2.0 * c * s * b + s * s * q;
+         d[k + 1] = s * s * p - 2.0 * c * s * b + c * c * q;
+         e[k] = c * s * (q - p) + (c * c - s * s) * b;
+         x = e[k];
+         if (k + 1 < high) {
+            y = s * e[k + 1];
+            e[k + 1] *= c;
+         }
+         for (j = 0; j < n; j++) {
+            double t = up[j];
+            up[j] = c * t + s * down[j];
+            down[j] = c * down[j] - s * t;
+         }
+      }
+   }
+   for (i = 0; i + 1 < n; i++) { /* falling */
+      size_t most = i;
+      for (j = i + 1; j < n; j++)
+         if (d[j] > d[most]) most = j;
+      if (most == i) continue;
+      { double t = d[i]; d[i] = d[most]; d[most] = t; }
+      for (j = 0; j < n; j++) {
+         double t = z[i * n + j];
+         z[i * n + j] = z[most * n + j];
+         z[most * n + j] = t;
+      }
+   }
+}
+
+typedef struct dn__factor { /* a fit's scratch; D rows, P pairs, n factors, m = min(D, P) */
+   double *x;                     /* (D,P) centred */
+   double *mean, *variance, *psi; /* (D) */
+   double *loading;               /* (D,n) */
+   double *cov;                   /* (D,D) S when D <= P */
+   double *a, *z;                 /* (m,m) the matrix and its eigenvectors in rows */
+   double *d, *e, *v, *w;         /* (m) */
+} dn__factor;
+static void dn__factor_layout(dn__factor *f, size_t rows, size_t pairs, size_t factors, dn__arena *a)
+{
+   size_t m = dn__min(rows, pairs);
+   f->x = (double *)dn__take(a, dn__mul(rows, pairs), sizeof(double));
+   f->mean = (double *)dn__take(a, rows, sizeof(double));
+   f->variance = (double *)dn__take(a, rows, sizeof(double));
+   f->psi = (double *)dn__take(a, rows, sizeof(double));
+   f->loading = (double *)dn__take(a, dn__mul(rows, factors), sizeof(double));
+   f->cov = (double *)dn__take(a, rows <= pairs ? dn__mul(rows, rows) : 0, sizeof(double));
+   f->a = (double *)dn__take(a, dn__mul(m, m), sizeof(double));
+   f->z = (double *)dn__take(a, dn__mul(m, m), sizeof(double));
+   f->d = (double *)dn__take(a, m, sizeof(double));
+   f->e = (double *)dn__take(a, m, sizeof(double));
+   f->v = (double *)dn__take(a, m, sizeof(double));
+   f->w = (double *)dn__take(a, m, sizeof(double));
+}
+DN_API size_t dn_factor_scratch(size_t rows, size_t pairs, size_t factors)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__factor f;
+   dn__factor_layout(&f, rows, pairs, factors, &a);
+   return dn__gauge(&a);
+}
+static double dn__factor_floor(double variance) { return 1e-6 * variance > 1e-12 ? 1e-6 * variance : 1e-12; }
+/* mean, centred rows, row variances, Psi's start, and S where the rows are the fewer */
+static dn_result dn__factor_open(const dn_factor_desc *q, dn__factor *f, dn_error *err)
+{
+   size_t D = q->rows, P = q->pairs, i, j, k;
+   for (i = 0; i < D; i++) {
+      double sum = 0.0, square = 0.0;
+      for (j = 0; j < P; j++) {
+         if (!dn__finite(q->distances[i * P + j]))
+            return dn__fail_sizes(err, DN_BAD_VALUE, "factor analysis", i, "row ", i, ", pair ", j, ": a distance is not finite");
+         sum += (double)q->distances[i * P + j];
+      }
+      f->mean[i] = sum / (double)P;
+      for (j = 0; j < P; j++) {
+         f->x[i * P + j] = (double)q->distances[i * P + j] - f->mean[i];
+         square += f->x[i * P + j] * f->x[i * P + j];
+      }
+      f->variance[i] = square / (double)P;
+      f->psi[i] = f->variance[i];
+      if (q->start) {
+         f->psi[i] = (double)q->start[i];
+         if (!dn__finite(q->start[i]) || !(q->start[i] > 0.0f))
+            return dn__fail_sizes(err, DN_BAD_VALUE, "factor analysis", i, "start ", i, NULL, 0, ": expected a finite variance above 0");
+      }
+      if (f->psi[i] < dn__factor_floor(f->variance[i])) f->psi[i] = dn__factor_floor(f->variance[i]);
+   }
+   for (i = 0; D <= P && i < D; i++)
+      for (j = 0; j <= i; j++) {
+         double sum = 0.0;
+         for (k = 0; k < P; k++) sum += f->x[i * P + k] * f->x[j * P + k];
+         f->cov[i * D + j] = f->cov[j * D + i] = sum / (double)P;
+      }
+   return DN_OK;
+}
+/* the best L for this Psi; returns the mean log-likelihood of both:
+      -1/2 ( D log 2 pi + log det (L L^T + Psi) + tr (L L^T + Psi)^-1 S )
+   where with the eigenvalues l_k = s_k^2 of Psi^-1/2 S Psi^-1/2 the determinant is prod psi_i prod max(l_k, 1) and the
+   trace is sum S_ii / psi_i - sum max(l_k - 1, 0), k over the n factors */
+static double dn__factor_round(const dn_factor_desc *q, dn__factor *f)
+{
+   size_t D = q->rows, P = q->pairs, n = q->factors, m = dn__min(D, P), i, j, k;
+   double value = (double)D * 1.8378770664093453; /* log 2 pi */
+   if (D <= P) {
+      for (i = 0; i < D; i++) f->v[i] = 1.0 / DN_SQRT(f->psi[i]);
+      for (i = 0; i < D; i++)
+         for (j = 0; j < D; j++) f->a[i * D + j] = f->cov[i * D + j] * f->v[i] * f->v[j];
+   } else { /* the other Gram matrix, X^T X: the same eigenvalues but for zeros */
+      memset(f->a, 0, P * P * sizeof *f->a);
+      for (i = 0; i < D; i++) {
+         const double *x = f->x + i * P;
+         double scale = 1.0 / (f->psi[i] * (double)P);
+         for (j = 0; j < P; j++) {
+            double c = x[j] * scale;
+            for (k = 0; k <= j; k++) f->a[j * P + k] += c * x[k];
+         }
+      }
+      for (j = 0; j < P; j++)
+         for (k = j + 1; k < P; k++) f->a[j * P + k] = f->a[k * P + j];
+   }
+   dn__eigen(f->a, m, f->d, f->z, f->e, f->v, f->w);
+   for (i = 0; i < D; i++) value += dn__log(f->psi[i]) + f->variance[i] / f->psi[i];
+   for (k = 0; k < n; k++) {
+      double l = f->d[k], scale, most = 0.0;
+      const double *z = f->z + k * m;
+      if (l > 1.0) value += dn__log(l) - (l - 1.0);
+      scale = l > 1.0 ? DN_SQRT(D <= P ? l - 1.0 : (l - 1.0) / (l * (double)P)) : 0.0;
+      for (i = 0; i < D; i++) { /* L_k = Psi^1/2 u_k sqrt(l_k - 1); u_k = X w_k / s_k when the pairs are the fewer */
+         double u = 0.0;
+         if (D <= P) u = z[i] * DN_SQRT(f->psi[i]);
+         else
+            for (j = 0; j < P; j++) u += f->x[i * P + j] * z[j];
+         f->loading[i * n + k] = scale * u;
+         if (DN_FABS(scale * u) > DN_FABS(most)) most = scale * u;
+      }
+      for (i = 0; most < 0.0 && i < D; i++) f->loading[i * n + k] = -f->loading[i * n + k];
+   }
+   return -0.5 * value;
+}
+static void dn__factor_write(const dn_factor_desc *q, const dn__factor *f)
+{
+   size_t D = q->rows, P = q->pairs, n = q->factors, i, j, k;
+   for (i = 0; i < D; i++) {
+      if (q->mean) q->mean[i] = (float)f->mean[i];
+      if (q->noise) q->noise[i] = (float)f->psi[i];
+      for (k = 0; q->loading && k < n; k++) q->loading[i * n + k] = (float)f->loading[i * n + k];
+   }
+   for (k = 0; k < n; k++) { /* L^T Psi^-1 L is diagonal here: its entries are l_k - 1, and I + that is l_k or 1 */
+      double l = 1.0;
+      for (i = 0; i < D; i++) l += f->loading[i * n + k] * f->loading[i * n + k] / f->psi[i];
+      for (i = 0; q->projection && i < D; i++) q->projection[k * D + i] = (float)(f->loading[i * n + k] / (f->psi[i] * l));
+      for (j = 0; q->alpha && j < P; j++) {
+         double sum = 0.0;
+         for (i = 0; i < D; i++) sum += f->loading[i * n + k] / f->psi[i] * f->x[i * P + j];
+         q->alpha[k * P + j] = (float)(sum / l);
+      }
+   }
+}
+DN_API dn_result dn_factor_fit(dn_factor_desc *q, void *scratch, size_t scratch_bytes, dn_error *err)
+{
+   static const char where[] = "factor analysis";
+   dn__arena arena = dn__arena_of(scratch, scratch_bytes);
+   dn__factor f;
+   dn_result result;
+   size_t i, k;
+   double before = 0.0;
+   DN_ASSERT(q && q->distances && scratch);
+   q->rounds = 0;
+   q->log_likelihood = 0.0;
+   if (q->rows == 0 || q->pairs < 2)
+      return dn__fail_sizes(err, DN_BAD_SHAPE, where, SIZE_MAX, "found ", q->rows, " rows of ", q->pairs, " pairs, expected at least 1 of 2");
+   if (q->factors == 0 || q->factors > dn__min(q->rows, q->pairs))
+      return dn__fail_sizes(err, DN_BAD_SHAPE, where, SIZE_MAX, "found ", q->factors, " factors, expected 1 to ", dn__min(q->rows, q->pairs), NULL);
+   dn__factor_layout(&f, q->rows, q->pairs, q->factors, &arena);
+   if (arena.used > scratch_bytes)
+      return dn__fail_sizes(err, DN_TOO_SMALL, where, SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", arena.used, NULL);
+   if ((result = dn__factor_open(q, &f, err)) != DN_OK) return result;
+   for (;;) {
+      double value = dn__factor_round(q, &f);
+      if (q->history && q->rounds < q->history_count) q->history[q->rounds] = value;
+      q->log_likelihood = value;
+      q->rounds++;
+      if (q->progress && q->progress->step && q->progress->step(q->progress->user, where, (float)q->rounds / 20000.0f))
+         result = dn__fail(err, DN_CANCELLED, where, SIZE_MAX, "cancelled by the progress callback");
+      if (result != DN_OK || q->rounds == 20000 || (q->rounds > 1 && !(value - before > 1e-12 * DN_FABS(value)))) break;
+      before = value;
+      for (i = 0; i < q->rows; i++) { /* Psi = diag(S - L L^T) */
+         double left = f.variance[i];
+         for (k = 0; k < q->factors; k++) left -= f.loading[i * q->factors + k] * f.loading[i * q->factors + k];
+         f.psi[i] = left > dn__factor_floor(f.variance[i]) ? left : dn__factor_floor(f.variance[i]);
+      }
+   }
+   dn__factor_write(q, &f);
+   return result;
+}
+DN_API void dn_factor_project(const float *projection, const float *mean, const float *d, size_t rows, size_t factors, float *alpha)
+{
+   size_t k, i;
+   for (k = 0; k < factors; k++) {
+      double sum = 0.0;
+      for (i = 0; i < rows; i++) sum += (double)projection[k * rows + i] * ((double)d[i] - (double)mean[i]);
+      alpha[k] = (float)sum;
+   }
+}
+
+/* --- surfaces. Triangles in the order of a space-filling curve, cut into as many equal leaves as a power of two gives
+   about DN__LEAF each; the boxes over them make a binary tree without pointers. Refitting needs no rebuild, but sorting
+   again is as cheap, and keeps the tree good in every pose. */
+typedef struct dn__sorter { uint32_t *key, *spare_key, *spare; } dn__sorter;
+static size_t dn__surface_leaves(size_t triangles)
+{
+   size_t n = 1;
+   while (n <= triangles / DN__LEAF / 2) n *= 2;
+   return n;
+}
+static void dn__surface_layout(dn_surface *s, size_t vertices, size_t triangles, dn__sorter *sort, dn__arena *a)
+{
+   s->leaves = dn__surface_leaves(triangles);
+   s->corner_first = (uint32_t *)dn__take(a, dn__add(vertices, 1), sizeof(uint32_t));
+   s->corner_tri = (uint32_t *)dn__take(a, dn__mul(triangles, 3), sizeof(uint32_t));
+   s->order = (uint32_t *)dn__take(a, triangles, sizeof(uint32_t));
+   s->boxes = (float *)dn__take(a, dn__mul(s->leaves, 12), sizeof(float));
+   sort->key = (uint32_t *)dn__take(a, triangles, sizeof(uint32_t));
+   sort->spare_key = (uint32_t *)dn__take(a, triangles, sizeof(uint32_t));
+   sort->spare = (uint32_t *)dn__take(a, triangles, sizeof(uint32_t));
+}
+DN_API size_t dn_surface_size(size_t vertices, size_t triangles)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__sorter sort;
+   dn_surface s;
+   dn__surface_layout(&s, vertices, triangles, &sort, &a);
+   return dn__gauge(&a);
+}
+static uint32_t dn__spread_bits(uint32_t v) /* ten bits to every third place */
+{
+   v = (v | v << 16) & 0x030000ffu;
+   v = (v | v << 8) & 0x0300f00fu;
+   v = (v | v << 4) & 0x030c30c3u;
+   return (v | v << 2) & 0x09249249u;
+}
+static void dn__surface_sort(uint32_t *order, const dn__sorter *s, size_t count) /* by key, stable, three times ten bits */
+{
+   uint32_t at[1024], *key = s->key, *from = order, *key_to = s->spare_key, *to = s->spare, *swap;
+   size_t i;
+   unsigned shift;
+   for (shift = 0; shift < 30; shift += 10) {
+      uint32_t total = 0;
+      memset(at, 0, sizeof at);
+      for (i = 0; i < count; i++) at[key[i] >> shift & 1023u]++;
+      for (i = 0; i < 1024; i++) {
+         uint32_t n = at[i];
+         at[i] = total;
+         total += n;
+      }
+      for (i = 0; i < count; i++) {
+         uint32_t place = at[key[i] >> shift & 1023u]++;
+         key_to[place] = key[i];
+         to[place] = from[i];
+      }
+      swap = key, key = key_to, key_to = swap;
+      swap = from, from = to, to = swap;
+   }
+   memcpy(order, from, count * sizeof *order); /* an odd number of passes ends in spare */
+}
+static size_t dn__leaf_begin(const dn_surface *s, size_t leaf) { return (size_t)((uint64_t)leaf * s->triangles / s->leaves); }
+static void dn__box_add(float box[6], const float *p) /* NaN widens nothing */
+{
+   int k;
+   for (k = 0; k < 3; k++) {
+      if (p[k] < box[k]) box[k] = p[k];
+      if (p[k] > box[3 + k]) box[3 + k] = p[k];
+   }
+}
+DN_API void dn_surface_build(dn_surface *s, const float *positions, size_t vertices, const uint32_t *triangle,
+                             size_t triangles, void *memory)
+{
+   static const float empty[6] = { 3e38f, 3e38f, 3e38f, -3e38f, -3e38f, -3e38f };
+   dn__arena a = dn__arena_of(memory, SIZE_MAX);
+   dn__sorter sort;
+   float whole[6], scale[3], square = 0.0f;
+   uint32_t *order;
+   float *boxes;
+   size_t t, i, k;
+   DN_ASSERT(memory && triangles > 0 && triangles <= DN__MOST && vertices <= DN__MOST);
+   dn__surface_layout(s, vertices, triangles, &sort, &a);
+   s->positions = positions;
+   s->triangle = triangle;
+   s->vertices = vertices;
+   s->triangles = triangles;
+   order = (uint32_t *)s->order;
+   boxes = (float *)s->boxes;
+   dn__corners_build(triangle, triangles, vertices, (uint32_t *)s->corner_first, (uint32_t *)s->corner_tri);
+   memcpy(whole, empty, sizeof whole);
+   for (t = 0; t < 3 * triangles; t++) dn__box_add(whole, positions + 3 * (size_t)triangle[t]);
+   for (k = 0; k < 3; k++) {
+      float side = whole[3 + k] - whole[k];
+      scale[k] = side > 0.0f ? 341.0f / side : 0.0f; /* a centre is a sum of three: 0 to 1023 */
+      square += side * side;
+   }
+   s->extent = square >= 0.0f && dn__finite(square) ? DN_SQRTF(square) : 0.0f;
+   for (t = 0; t < triangles; t++) {
+      uint32_t code = 0;
+      for (k = 0; k < 3; k++) {
+         float sum = 0.0f;
+         for (i = 0; i < 3; i++) sum += (positions[3 * (size_t)triangle[3 * t + i] + k] - whole[k]) * scale[k];
+         code |= dn__spread_bits(sum > 0.0f ? sum < 1023.0f ? (uint32_t)sum : 1023u : 0u) << k;
+      }
+      sort.key[t] = code;
+      order[t] = (uint32_t)t;
+   }
+   dn__surface_sort(order, &sort, triangles);
+   for (i = s->leaves; i-- > 0;) {
+      float *box = boxes + 6 * (s->leaves + i);
+      memcpy(box, empty, sizeof empty);
+      for (t = dn__leaf_begin(s, i); t < dn__leaf_begin(s, i + 1); t++)
+         for (k = 0; k < 3; k++) dn__box_add(box, positions + 3 * (size_t)triangle[3 * (size_t)order[t] + k]);
+   }
+   for (i = s->leaves; i-- > 1;) {
+      float *box = boxes + 6 * i;
+      memcpy(box, boxes + 12 * i, sizeof empty);
+      dn__box_add(box, boxes + 12 * i + 6); /* no leaf is empty; one of nothing finite only makes its parents too wide */
+      dn__box_add(box, boxes + 12 * i + 9);
+   }
+}
+
+/* the place on a triangle that is closest to a point, and which part of it that is on */
+typedef enum dn__part { DN__FACE, DN__EDGE_AB, DN__EDGE_BC, DN__EDGE_CA, DN__AT_A, DN__AT_B, DN__AT_C } dn__part;
+typedef struct dn__near { double square, at[3]; uint32_t triangle; dn__part part; } dn__near;
+
+static double dn__dot3(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static void dn__cross3(const double a[3], const double b[3], double out[3])
+{
+   out[0] = a[1] * b[2] - a[2] * b[1];
+   out[1] = a[2] * b[0] - a[0] * b[2];
+   out[2] = a[0] * b[1] - a[1] * b[0];
+}
+static void dn__corner(const dn_surface *s, size_t triangle, size_t corner, double out[3])
+{
+   const float *p = s->positions + 3 * (size_t)s->triangle[3 * triangle + corner];
+   out[0] = (double)p[0];
+   out[1] = (double)p[1];
+   out[2] = (double)p[2];
+}
+static void dn__near_segment(dn__near *n, const double p[3], const double a[3], const double b[3], uint32_t triangle,
+                             dn__part inner, dn__part at_a, dn__part at_b)
+{
+   double u[3], v[3], q[3], along, length, square, reach = n->square * 1.000001;
+   int k;
+   for (k = 0; k < 3; k++) u[k] = b[k] - a[k], v[k] = p[k] - a[k];
+   along = dn__dot3(u, v);
+   length = dn__dot3(u, u);
+   square = dn__dot3(v, v);
+   if (along <= 0.0 ? square > reach : along < length ? square * length - along * along > (reach + 1e-12 * square) * length
+                                                      : square - 2.0 * along + length > reach + 1e-12 * (square + length)) return;
+   along = along > 0.0 ? along < length ? along / length : 1.0 : 0.0; /* a segment without length: its end a */
+   for (k = 0; k < 3; k++) q[k] = along < 1.0 ? a[k] + along * u[k] : b[k];
+   for (k = 0; k < 3; k++) v[k] = p[k] - q[k];
+   square = dn__dot3(v, v);
+   if (square < n->square || (square == n->square && triangle < n->triangle)) {
+      n->square = square;
+      n->triangle = triangle;
+      n->part = along > 0.0 ? along < 1.0 ? inner : at_b : at_a;
+      memcpy(n->at, q, sizeof q);
+   }
+}
+/* n keeps the better of itself and this triangle; of two as near, the lower index */
+static void dn__near_triangle(const dn_surface *s, uint32_t triangle, const double p[3], dn__near *n)
+{
+   double a[3], b[3], c[3], u[3], v[3], w[3], normal[3], x[3], area, beta, gamma, square;
+   int k;
+   dn__corner(s, triangle, 0, a);
+   dn__corner(s, triangle, 1, b);
+   dn__corner(s, triangle, 2, c);
+   for (k = 0; k < 3; k++) u[k] = b[k] - a[k], v[k] = c[k] - a[k], w[k] = p[k] - a[k];
+   dn__cross3(u, v, normal);
+   area = dn__dot3(normal, normal);
+   if (!(area >= 0.0)) return; /* a corner is not finite */
+   if (area > 1e-24 * dn__dot3(u, u) * dn__dot3(v, v)) { /* p = a + beta u + gamma v + height normal */
+      double height = dn__dot3(w, normal);
+      if (height * height >= n->square * area * 1.000001) return; /* its plane is too far */
+      dn__cross3(w, v, x);
+      beta = dn__dot3(x, normal) / area;
+      dn__cross3(u, w, x);
+      gamma = dn__dot3(x, normal) / area;
+      if (beta > 0.0 && gamma > 0.0 && beta + gamma < 1.0) {
+         square = height * height / area;
+         if (square < n->square || (square == n->square && triangle < n->triangle)) {
+            n->square = square;
+            n->triangle = triangle;
+            n->part = DN__FACE;
+            for (k = 0; k < 3; k++) n->at[k] = a[k] + beta * u[k] + gamma * v[k];
+         }
+         return;
+      }
+      /* a corner's side: only the edges that face p can be closest */
+      if (gamma <= 0.0) dn__near_segment(n, p, a, b, triangle, DN__EDGE_AB, DN__AT_A, DN__AT_B);
+      if (beta + gamma >= 1.0) dn__near_segment(n, p, b, c, triangle, DN__EDGE_BC, DN__AT_B, DN__AT_C);
+      if (beta <= 0.0) dn__near_segment(n, p, c, a, triangle, DN__EDGE_CA, DN__AT_C, DN__AT_A);
+   } else { /* no area: three segments */
+      dn__near_segment(n, p, a, b, triangle, DN__EDGE_AB, DN__AT_A, DN__AT_B);
+      dn__near_segment(n, p, b, c, triangle, DN__EDGE_BC, DN__AT_B, DN__AT_C);
+      dn__near_segment(n, p, c, a, triangle, DN__EDGE_CA, DN__AT_C, DN__AT_A);
+   }
+}
+static int dn__unit_face(const dn_surface *s, size_t triangle, double n[3]) /* 0: no area */
+{
+   double a[3], u[3], v[3], length;
+   int k;
+   dn__corner(s, triangle, 0, a);
+   dn__corner(s, triangle, 1, u);
+   dn__corner(s, triangle, 2, v);
+   for (k = 0; k < 3; k++) u[k] -= a[k], v[k] -= a[k];
+   dn__cross3(u, v, n);
+   length = DN_SQRT(dn__dot3(n, n));
+   for (k = 0; k < 3; k++) n[k] = length > 0.0 ? n[k] / length : 0.0;
+   return length > 0.0;
+}
+static double dn__angle(double y, double x) /* of (x, y), y >= 0: 0 .. pi, to 5e-7 */
+{
+   double size = DN_FABS(x), small = size < y ? size : y, large = size < y ? y : size, t, u, a;
+   if (!(large > 0.0)) return 0.0;
+   t = small / large;
+   u = t * t;
+   a = t * (0.99999933 + u * (-0.33326375 + u * (0.19879872 + u * (-0.13480406 + u * (0.08374156 + u * (-0.03689863 + u * 0.00782548))))));
+   if (size < y) a = 1.5707963267948966 - a;
+   return x < 0.0 ? 3.141592653589793 - a : a;
+}
+static size_t dn__corner_of(const dn_surface *s, size_t triangle, uint32_t vertex)
+{
+   const uint32_t *t = s->triangle + 3 * triangle;
+   return t[0] == vertex ? 0 : t[1] == vertex ? 1 : 2;
+}
+static uint64_t dn__mix(uint64_t h) /* sums of these tell sets apart */
+{
+   h = (h + 0x9e3779b97f4a7c15u) * 0xff51afd7ed558ccdu;
+   return (h ^ h >> 32) * 0xc4ceb9fe1a85ec53u;
+}
+/* the direction that tells the side there, not of unit length; *open: it is on a border of the surface */
+static void dn__near_normal(const dn_surface *s, const dn__near *n, double normal[3], int *open)
+{
+   const uint32_t *t = s->triangle + 3 * (size_t)n->triangle;
+   size_t at = n->part == DN__EDGE_AB || n->part == DN__AT_A ? 0 : n->part == DN__EDGE_BC || n->part == DN__AT_B ? 1 : 2;
+   uint32_t e, a = t[at], b = t[(at + 1) % 3];
+   uint64_t balance = 0;
+   int k;
+   *open = 0;
+   if (n->part == DN__FACE) {
+      dn__unit_face(s, n->triangle, normal);
+      return;
+   }
+   normal[0] = normal[1] = normal[2] = 0.0;
+   for (e = s->corner_first[a]; e < s->corner_first[a + 1]; e++) {
+      size_t f = s->corner_tri[e], c = dn__corner_of(s, f, a);
+      uint32_t next = s->triangle[3 * f + (c + 1) % 3], last = s->triangle[3 * f + (c + 2) % 3];
+      double face[3], weight = 1.0;
+      if (next == last || next == a || last == a) continue;
+      if (n->part >= DN__AT_A) balance += dn__mix(next) - dn__mix(last); /* each spoke once out and once in: closed */
+      else if (next == b) balance++;
+      else if (last == b) balance--;
+      else continue;
+      if (!dn__unit_face(s, f, face)) continue;
+      if (n->part >= DN__AT_A) {
+         double p[3], u[3], v[3], x[3];
+         dn__corner(s, f, c, p);
+         dn__corner(s, f, (c + 1) % 3, u);
+         dn__corner(s, f, (c + 2) % 3, v);
+         for (k = 0; k < 3; k++) u[k] -= p[k], v[k] -= p[k];
+         dn__cross3(u, v, x);
+         weight = dn__angle(DN_SQRT(dn__dot3(x, x)), dn__dot3(u, v));
+      }
+      for (k = 0; k < 3; k++) normal[k] += weight * face[k];
+   }
+   *open = balance != 0;
+}
+/* distance, closest place and unit normal from the nearest feature */
+static double dn__signed(const dn_surface *s, const double p[3], const dn__near *n, double normal[3])
+{
+   double way[3], length, size, side;
+   int k, open;
+   dn__near_normal(s, n, normal, &open);
+   for (k = 0; k < 3; k++) way[k] = p[k] - n->at[k];
+   length = DN_SQRT(dn__dot3(way, way));
+   size = DN_SQRT(dn__dot3(normal, normal));
+   for (k = 0; k < 3; k++) normal[k] = size > 0.0 ? normal[k] / size : 0.0;
+   side = dn__dot3(way, normal);
+   if (open && side > -0.5 * length) side = 0.0; /* past a border, not under it */
+   if (length > 1e-6 * (double)s->extent && length > 1e-30)
+      for (k = 0; k < 3; k++) normal[k] = side < 0.0 ? -way[k] / length : way[k] / length;
+   return side < 0.0 ? -length : length;
+}
+static float dn__box_square(const float box[6], const float p[3])
+{
+   float sum = 0.0f;
+   int k;
+   for (k = 0; k < 3; k++) {
+      float low = box[k] - p[k], high = p[k] - box[3 + k], out = low > high ? low : high;
+      if (out > 0.0f) sum += out * out;
+   }
+   return sum;
+}
+/* the nearest place on the surface; square stays 1e300 when no triangle is finite. Boxes are compared in float, with a
+   millionth to spare; triangles are measured in double. hint: a triangle that is likely near, or DN__NONE; it saves
+   boxes, and cannot change the answer, which is the least of all (square, triangle). */
+static void dn__surface_nearest(const dn_surface *s, const float point[3], uint32_t hint, dn__near *n)
+{
+   struct { uint32_t box; float square; } stack[64]; /* two a level, 28 levels at most */
+   size_t depth = 0;
+   uint32_t box = 1;
+   float here = 0.0f;
+   double p[3];
+   int k;
+   for (k = 0; k < 3; k++) p[k] = (double)point[k];
+   n->square = 1e300;
+   n->triangle = DN__NONE;
+   if (hint != DN__NONE) dn__near_triangle(s, hint, p, n);
+   for (;;) {
+      if ((double)here * 0.999999 <= n->square) {
+         if (box >= s->leaves) {
+            size_t t, end = dn__leaf_begin(s, box - s->leaves + 1);
+            for (t = dn__leaf_begin(s, box - s->leaves); t < end; t++) dn__near_triangle(s, s->order[t], p, n);
+         } else {
+            float left = dn__box_square(s->boxes + 12 * (size_t)box, point);
+            float right = dn__box_square(s->boxes + 12 * (size_t)box + 6, point);
+            uint32_t far = 2 * box + (left <= right);
+            stack[depth].box = far;
+            stack[depth++].square = left <= right ? right : left;
+            box = far ^ 1u;
+            here = left <= right ? left : right;
+            continue;
+         }
+      }
+      if (depth == 0) return;
+      box = stack[--depth].box;
+      here = stack[depth].square;
+   }
+}
+static float dn__surface_answer(const dn_surface *s, const float point[3], const dn__near *n, float *closest, float *normal)
+{
+   double p[3], direction[3] = { 0.0, 0.0, 0.0 }, distance = 3e38;
+   int k;
+   for (k = 0; k < 3; k++) p[k] = (double)point[k];
+   if (n->triangle != DN__NONE) distance = dn__signed(s, p, n, direction);
+   for (k = 0; k < 3; k++) {
+      if (closest) closest[k] = n->triangle != DN__NONE ? (float)n->at[k] : point[k];
+      if (normal) normal[k] = (float)direction[k];
+   }
+   return (float)distance;
+}
+DN_API float dn_surface_distance(const dn_surface *surface, const float point[3], float *closest, float *normal)
+{
+   dn__near n;
+   dn__surface_nearest(surface, point, DN__NONE, &n);
+   return dn__surface_answer(surface, point, &n, closest, normal);
+}
+DN_API float dn_surface_distance_ref(const dn_surface *surface, const float point[3], float *closest, float *normal)
+{
+   dn__near n;
+   double p[3];
+   size_t t;
+   int k;
+   for (k = 0; k < 3; k++) p[k] = (double)point[k];
+   n.square = 1e300;
+   n.triangle = DN__NONE;
+   for (t = 0; t < surface->triangles; t++) dn__near_triangle(surface, (uint32_t)t, p, &n);
+   return dn__surface_answer(surface, point, &n, closest, normal);
+}
+
+/* --- collisions. A vertex is pushed to where its worst obstacle leaves it its margin, and asked again: in a groove the
+   two sides take turns. What is left after DN__DEEP / 2 turns is squeezed between surfaces; half steps then settle it
+   between them. Then the pushes are averaged over the pushed vertices' neighbours and made up to what each one needs. */
+enum { DN__SPREAD = 8 /* rounds */, DN__REACH = 16 };
+typedef struct dn__collide_job {
+   const dn_obstacle *obstacles;
+   size_t count;
+   const dn_graph *graph;
+   float *positions;
+   const float *start;  /* (V,3) before */
+   float *need;         /* (V,3) the least push */
+   const float *from;   /* (V,3) a round of spreading */
+   float *to;
+   float *before;       /* (V) how far behind a surface it was; negative: not at all */
+   float *left;         /* (V) what a margin still lacks; negative: nothing was asked of this vertex */
+} dn__collide_job;
+typedef struct dn__squeeze { double slack; float closest[3], normal[3], margin, spare, depth; } dn__squeeze;
+enum { DN__HINTS = 4 }; /* obstacles whose last closest triangle is remembered from vertex to vertex of a range */
+
+static void dn__collide_ask(const dn__collide_job *j, const float p[3], uint32_t *hint, dn__squeeze *worst)
+{
+   size_t i;
+   worst->slack = 1e300;
+   worst->depth = -3e38f;
+   for (i = 0; i < j->count; i++) {
+      const dn_obstacle *o = j->obstacles + i;
+      float closest[3], normal[3], distance;
+      double slack;
+      dn__near n;
+      dn__surface_nearest(o->surface, p, i < DN__HINTS ? hint[i] : DN__NONE, &n);
+      if (i < DN__HINTS) hint[i] = n.triangle;
+      distance = dn__surface_answer(o->surface, p, &n, closest, normal);
+      slack = (double)distance - (double)o->margin;
+      if (o->reach > 0.0f && distance < -o->reach) continue;
+      if (-distance > worst->depth) worst->depth = -distance;
+      if (!(slack < worst->slack)) continue;
+      worst->slack = slack;
+      worst->margin = o->margin;
+      worst->spare = 1e-3f * o->margin + 1e-6f * o->surface->extent; /* more than a float position can round away */
+      memcpy(worst->closest, closest, sizeof closest);
+      memcpy(worst->normal, normal, sizeof normal);
+   }
+}
+/* One step out of a squeeze. The plane through its closest place asks x for a = m + n.(c - x) along n. Where going there
+   breaks the plane asked before it, the step keeps both: the shortest way s = l0 n0 + l1 n1 with n0.s = a0, n1.s = a1,
+   along the groove's bisector; but no further than DN__REACH times what is asked, else the groove is too sharp. */
+static void dn__collide_step(const dn__squeeze *now, const dn__squeeze *last, float x[3])
+{
+   double a0 = 0.0, a1 = 0.0, g = 0.0, l0, l1, flat, way[3], square = 0.0;
+   int k;
+   for (k = 0; k < 3; k++) a1 += (double)now->normal[k] * ((double)now->closest[k] - (double)x[k]);
+   a1 += (double)now->margin + (double)now->spare;
+   for (k = 0; k < 3; k++) way[k] = a1 * (double)now->normal[k];
+   if (last) {
+      for (k = 0; k < 3; k++) {
+         a0 += (double)last->normal[k] * ((double)last->closest[k] - (double)x[k]);
+         g += (double)last->normal[k] * (double)now->normal[k];
+      }
+      a0 += (double)last->margin + (double)last->spare;
+      flat = 1.0 - g * g;
+      if (g * a1 < a0 && flat > 1e-3) { /* [1 g; g 1] [l0; l1] = [a0; a1] */
+         l0 = (a0 - g * a1) / flat;
+         l1 = (a1 - g * a0) / flat;
+         for (k = 0; k < 3; k++) square += (l0 * (double)last->normal[k] + l1 * (double)now->normal[k]) * (l0 * (double)last->normal[k] + l1 * (double)now->normal[k]);
+         if (l1 > 0.0 && square < (double)DN__REACH * (double)DN__REACH * (a1 * a1 + a0 * a0))
+            for (k = 0; k < 3; k++) way[k] = l0 * (double)last->normal[k] + l1 * (double)now->normal[k];
+      }
+   }
+   for (k = 0; k < 3; k++) x[k] = (float)((double)x[k] + way[k]);
+}
+/* out to the margins; returns what is left to the worst of them, at least 0 when all are kept. ask: for p, known */
+static double dn__collide_push(const dn__collide_job *j, float p[3], uint32_t *hint, dn__squeeze ask)
+{
+   float x[3], best[3];
+   double most = ask.slack;
+   dn__squeeze last;
+   int step, k;
+   memcpy(x, p, sizeof x);
+   memcpy(best, p, sizeof best);
+   for (step = 0; step < DN__DEEP && ask.slack < 0.0; step++) {
+      float from[3];
+      memcpy(from, x, sizeof from);
+      dn__collide_step(&ask, step ? &last : NULL, x);
+      if (step >= DN__DEEP / 2)
+         for (k = 0; k < 3; k++) x[k] = from[k] + 0.5f * (x[k] - from[k]);
+      last = ask;
+      dn__collide_ask(j, x, hint, &ask);
+      if (ask.slack > most) {
+         most = ask.slack;
+         memcpy(best, x, sizeof best);
+      }
+   }
+   memcpy(p, best, sizeof best);
+   return most;
+}
+static void dn__collide_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__collide_job *j = (const dn__collide_job *)job;
+   uint32_t hint[DN__HINTS] = { DN__NONE, DN__NONE, DN__NONE, DN__NONE };
+   size_t v;
+   int k;
+   (void)worker;
+   for (v = begin; v < end; v++) {
+      float *p = j->positions + 3 * v;
+      dn__squeeze ask;
+      j->left[v] = j->before[v] = -1.0f;
+      for (k = 0; k < 3; k++) j->need[3 * v + (size_t)k] = 0.0f;
+      if (!dn__finite(p[0]) || !dn__finite(p[1]) || !dn__finite(p[2])) continue;
+      dn__collide_ask(j, p, hint, &ask);
+      if (!(ask.slack < 0.0)) continue;
+      j->before[v] = ask.depth;
+      ask.slack = dn__collide_push(j, p, hint, ask);
+      j->left[v] = ask.slack < 0.0 ? (float)-ask.slack : 0.0f;
+      for (k = 0; k < 3; k++) j->need[3 * v + (size_t)k] = p[k] - j->start[3 * v + (size_t)k];
+   }
+}
+static void dn__collide_spread(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__collide_job *j = (const dn__collide_job *)job;
+   size_t v, k;
+   (void)worker;
+   for (v = begin; v < end; v++) {
+      const float *need = j->need + 3 * v, *own = j->from + 3 * v;
+      uint32_t e, first = j->graph->first[v], last = j->graph->first[v + 1];
+      double square = 0.0, lacks = 0.0, way[3];
+      memcpy(j->to + 3 * v, own, 3 * sizeof *own);
+      for (k = 0; k < 3; k++) square += (double)need[k] * (double)need[k];
+      if (!(square > 0.0) || first == last) continue;
+      for (k = 0; k < 3; k++) {
+         double sum = 0.0;
+         for (e = first; e < last; e++) sum += (double)j->from[3 * (size_t)j->graph->next[e] + k];
+         way[k] = 0.5 * (double)own[k] + 0.5 * sum / (double)(last - first);
+         lacks += ((double)need[k] - way[k]) * (double)need[k];
+      }
+      for (k = 0; k < 3; k++) /* along its own push at least as far as it needs */
+         j->to[3 * v + k] = (float)(way[k] + (lacks > 0.0 ? lacks / square * (double)need[k] : 0.0));
+   }
+}
+static void dn__collide_settle(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__collide_job *j = (const dn__collide_job *)job;
+   uint32_t hint[DN__HINTS] = { DN__NONE, DN__NONE, DN__NONE, DN__NONE };
+   size_t v, k;
+   (void)worker;
+   for (v = begin; v < end; v++) {
+      float x[3];
+      dn__squeeze ask;
+      if (j->left[v] != 0.0f) continue; /* untouched, or squeezed: stays where it is */
+      for (k = 0; k < 3; k++) x[k] = j->start[3 * v + k] + j->from[3 * v + k];
+      dn__collide_ask(j, x, hint, &ask);
+      if (!(ask.slack < 0.0) || !(dn__collide_push(j, x, hint, ask) < 0.0)) memcpy(j->positions + 3 * v, x, sizeof x);
+   }
+}
+static void dn__collide_layout(dn__collide_job *j, size_t vertices, dn__arena *a)
+{
+   j->start = (float *)dn__take(a, dn__mul(vertices, 3), sizeof(float));
+   j->need = (float *)dn__take(a, dn__mul(vertices, 3), sizeof(float));
+   j->from = (float *)dn__take(a, dn__mul(vertices, 3), sizeof(float));
+   j->to = (float *)dn__take(a, dn__mul(vertices, 3), sizeof(float));
+   j->before = (float *)dn__take(a, vertices, sizeof(float));
+   j->left = (float *)dn__take(a, vertices, sizeof(float));
+}
+DN_API size_t dn_collide_scratch(size_t vertices)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__collide_job j;
+   dn__collide_layout(&j, vertices, &a);
+   return dn__gauge(&a);
+}
+DN_API void dn_collide(const dn_obstacle *obstacles, size_t count, const dn_graph *graph, float *positions, size_t vertices,
+                       dn_collision *report, void *scratch, const dn_parallel *parallel)
+{
+   dn__arena a = dn__arena_of(scratch, SIZE_MAX);
+   dn__collide_job j;
+   dn_collision found;
+   size_t v, k;
+   int round;
+   DN_ASSERT(scratch && (count == 0 || obstacles) && (!graph || graph->nodes == vertices));
+   memset(&found, 0, sizeof found);
+   dn__collide_layout(&j, vertices, &a);
+   j.obstacles = obstacles;
+   j.count = count;
+   j.graph = graph;
+   j.positions = positions;
+   memcpy((float *)j.start, positions, 3 * vertices * sizeof *positions);
+   dn__for(parallel, vertices, DN__KIT_GRAIN, dn__collide_range, &j);
+   for (v = 0; v < vertices; v++) found.moved += j.left[v] >= 0.0f;
+   if (graph && found.moved > 0) {
+      memcpy((float *)j.from, j.need, 3 * vertices * sizeof *positions);
+      for (round = 0; round < DN__SPREAD; round++) {
+         float *swap = (float *)j.from;
+         dn__for(parallel, vertices, DN__KIT_GRAIN, dn__collide_spread, &j);
+         j.from = j.to;
+         j.to = swap;
+      }
+      dn__for(parallel, vertices, DN__KIT_GRAIN, dn__collide_settle, &j);
+   }
+   for (v = 0; v < vertices; v++) {
+      double square = 0.0, way;
+      if (!(j.left[v] >= 0.0f)) continue;
+      found.inside += j.before[v] > 0.0f;
+      found.squeezed += j.left[v] > 0.0f;
+      if (j.before[v] > found.deepest) found.deepest = j.before[v];
+      if (j.left[v] > found.left) found.left = j.left[v];
+      for (k = 0; k < 3; k++) {
+         way = (double)positions[3 * v + k] - (double)j.start[3 * v + k];
+         square += way * way;
+      }
+      way = DN_SQRT(square);
+      if ((float)way > found.farthest) found.farthest = (float)way;
+   }
+   if (report) *report = found;
+}
+
+/* --- shapes. Checked in full by dn__shape_open, which the size query and the initialiser share; then copied. */
+struct dn_shape {
+   dn_shape_view view;
+   const dn_allocator *allocator; /* points at the copy below, or NULL: DN_MALLOC */
+   dn_allocator allocator_copy;
+   int owned;
+   size_t pose_coefficients;      /* 9 (S-1), or 0 */
+   const float *shapedirs;        /* (B,V,3): each coefficient's rows lie together */
+   const float *posedirs;         /* (9(S-1),V,3) */
+   const float *looseness;        /* (V,3) or NULL */
+   const float *joint_shapedirs;  /* (B,S,3) */
+   char *text;                    /* the joints' names */
+};
+typedef struct dn__shape_file { /* the tensors, NULL where the file has none */
+   const dn_tensor *rest, *faces, *shapedirs, *weights, *posedirs, *looseness, *parents, *joint_rest, *joint_shapedirs, *regressor;
+   const char *names; /* the JSON list */
+   size_t names_bytes;
+   size_t V, T, B, S, I;
+} dn__shape_file;
+static const char dn__where_shape[] = "shape";
+
+static dn_result dn__shape_fail(dn_error *err, dn_result code, const char *name, size_t index, const char *what, size_t a,
+                                const char *between, size_t b, const char *after)
+{
+   char line[240], text[200];
+   dn_error e;
+   dn__text t = dn__text_of(line, sizeof line);
+   (void)dn__fail_sizes(&e, code, dn__where_shape, index, what, a, between, b, after);
+   dn__join(text, sizeof text, e.info, "");
+   dn__put(&t, name);
+   dn__put(&t, ": ");
+   dn__put(&t, text);
+   return dn__fail(err, code, dn__where_shape, index, line);
+}
+/* the tensor of that name and shape; a side given as 0 takes any from 1 to limit. *out is NULL when it may be absent */
+static dn_result dn__shape_want(const dn_tensors *file, const char *name, int needed, unsigned rank, const size_t *want,
+                                size_t limit, int integers, const dn_tensor **out, dn_error *err)
+{
+   const dn_tensor *t = dn_tensors_find(file, name);
+   char line[240];
+   dn__text text = dn__text_of(line, sizeof line);
+   unsigned i;
+   int good;
+   *out = NULL;
+   dn__put(&text, name);
+   if (!t) {
+      if (!needed) return DN_OK;
+      dn__put(&text, ": not in the file");
+      return dn__fail(err, DN_MISSING_TENSOR, dn__where_shape, SIZE_MAX, line);
+   }
+   good = t->rank == rank;
+   for (i = 0; good && i < rank; i++) good = want[i] ? t->shape[i] == want[i] : t->shape[i] >= 1 && t->shape[i] <= limit;
+   if (!good) {
+      dn__put(&text, ": expected (");
+      for (i = 0; i < rank; i++) {
+         if (i) dn__put(&text, ",");
+         if (want[i]) dn__put_size(&text, want[i]);
+         else dn__put(&text, "1.."), dn__put_size(&text, limit);
+      }
+      dn__put(&text, "), file has ");
+      dn__put_shape(&text, t->shape, t->rank);
+      return dn__fail(err, DN_BAD_SHAPE, dn__where_shape, SIZE_MAX, line);
+   }
+   if (integers ? t->format != DN_ST_I32 : t->format != DN_ST_F32 && t->format != DN_ST_F16 && t->format != DN_ST_BF16) {
+      dn__put(&text, integers ? ": expected I32, file has another type" : ": expected F32, F16 or BF16, file has another type");
+      return dn__fail(err, DN_BAD_TYPE, dn__where_shape, SIZE_MAX, line);
+   }
+   *out = t;
+   return DN_OK;
+}
+static dn_result dn__shape_finite(const dn_tensor *t, dn_error *err)
+{
+   float part[64];
+   size_t at, i, n;
+   for (at = 0; t && at < t->count; at += n) {
+      n = dn__min(t->count - at, 64);
+      dn_tensor_floats(t, at, n, part);
+      for (i = 0; i < n; i++)
+         if (!dn__finite(part[i])) return dn__shape_fail(err, DN_BAD_VALUE, t->name, at + i, "element ", at + i, NULL, 0, " is not finite");
+   }
+   return DN_OK;
+}
+/* ["a", "b"]: S names; into text and pointers when those are given. *bytes: their text */
+static dn_result dn__shape_names(const char *list, size_t joints, char *text, size_t text_bytes, const char **names,
+                                 size_t *bytes, dn_error *err)
+{
+   dn__json j;
+   char small[2];
+   size_t n = 0, length;
+   memset(&j, 0, sizeof j);
+   j.file = (const unsigned char *)list;
+   j.end = strlen(list);
+   j.err = err;
+   *bytes = 0;
+   if (!dn__json_need(&j, '[', "'[' before joint_names")) return j.code;
+   if (!dn__json_is(&j, ']')) {
+      do {
+         if (!dn__json_string(&j, "a joint name in quotes", text ? text + *bytes : small, text ? text_bytes - *bytes : sizeof small, &length)) return j.code;
+         if (names && n < joints) names[n] = text + *bytes;
+         *bytes += length + 1;
+         n++;
+      } while (dn__json_is(&j, ','));
+      if (!dn__json_need(&j, ']', "',' or ']' in joint_names")) return j.code;
+   }
+   dn__json_space(&j);
+   if (j.at != j.end) return dn__json_fail(&j, j.at, "nothing after joint_names"), j.code;
+   return n == joints ? DN_OK : dn__shape_fail(err, DN_BAD_VALUE, "joint_names", SIZE_MAX, "found ", n, " names, expected ", joints, NULL);
+}
+static dn_result dn__shape_open(const dn_tensors *file, dn__shape_file *f, dn_error *err)
+{
+   size_t want[3], v, s, i, n, used;
+   float part[64];
+   dn_result r;
+   memset(f, 0, sizeof *f);
+   want[0] = 0, want[1] = 3, want[2] = 0;
+   if ((r = dn__shape_want(file, "template", 1, 2, want, DN__MOST, 0, &f->rest, err)) != DN_OK) return r;
+   f->V = f->rest->shape[0];
+   if ((r = dn__shape_want(file, "faces", 1, 2, want, DN__MOST, 1, &f->faces, err)) != DN_OK) return r;
+   f->T = f->faces->shape[0];
+   want[0] = f->V;
+   if ((r = dn__shape_want(file, "shapedirs", 1, 3, want, DN_MAX_DIM, 0, &f->shapedirs, err)) != DN_OK) return r;
+   f->B = f->shapedirs->shape[2];
+   if ((r = dn__shape_want(file, "looseness_dirs", 0, 2, want, DN_MAX_DIM, 0, &f->looseness, err)) != DN_OK) return r;
+   want[1] = 0;
+   if ((r = dn__shape_want(file, "weights", 1, 2, want, DN_MAX_DIM, 0, &f->weights, err)) != DN_OK) return r;
+   f->S = f->weights->shape[1];
+   want[1] = 3, want[2] = dn__mul(9, f->S - 1);
+   if (dn_tensors_find(file, "posedirs") && f->S < 2)
+      return dn__fail(err, DN_BAD_SHAPE, dn__where_shape, SIZE_MAX, "posedirs: expected none, for weights has one joint");
+   if ((r = dn__shape_want(file, "posedirs", 0, 3, want, DN_MAX_DIM, 0, &f->posedirs, err)) != DN_OK) return r;
+   want[0] = f->S;
+   if ((r = dn__shape_want(file, "parents", 0, 1, want, DN_MAX_DIM, 1, &f->parents, err)) != DN_OK) return r;
+   want[2] = f->B;
+   if ((r = dn__shape_want(file, "joint_template", 0, 2, want, DN_MAX_DIM, 0, &f->joint_rest, err)) != DN_OK) return r;
+   if ((r = dn__shape_want(file, "joint_shapedirs", f->joint_rest != NULL, 3, want, DN_MAX_DIM, 0, &f->joint_shapedirs, err)) != DN_OK) return r;
+   if (f->joint_shapedirs && !f->joint_rest) return dn__fail(err, DN_MISSING_TENSOR, dn__where_shape, SIZE_MAX, "joint_template: not in the file, which has joint_shapedirs");
+   want[1] = f->V;
+   if (!f->joint_rest && (r = dn__shape_want(file, "joint_regressor", 0, 2, want, DN__MOST, 0, &f->regressor, err)) != DN_OK) return r;
+   if (f->regressor && f->S > f->V) /* what it gives must not outgrow the file */
+      return dn__shape_fail(err, DN_BAD_SHAPE, "joint_regressor", SIZE_MAX, "found ", f->S, " joints, expected at most the ", f->V, " vertices");
+   if ((r = dn__shape_finite(f->rest, err)) != DN_OK || (r = dn__shape_finite(f->shapedirs, err)) != DN_OK ||
+       (r = dn__shape_finite(f->looseness, err)) != DN_OK || (r = dn__shape_finite(f->weights, err)) != DN_OK ||
+       (r = dn__shape_finite(f->posedirs, err)) != DN_OK || (r = dn__shape_finite(f->joint_rest, err)) != DN_OK ||
+       (r = dn__shape_finite(f->joint_shapedirs, err)) != DN_OK || (r = dn__shape_finite(f->regressor, err)) != DN_OK) return r;
+   for (i = 0; i < 3 * f->T; i++) {
+      int32_t at;
+      dn_tensor_ints(f->faces, i, 1, &at);
+      if (at < 0) return dn__shape_fail(err, DN_BAD_MESH, "faces", i / 3, "triangle ", i / 3, NULL, 0, " has a negative index");
+      if ((size_t)at >= f->V) return dn__shape_fail(err, DN_BAD_MESH, "faces", i / 3, "found index ", (size_t)at, ", expected below ", f->V, NULL);
+   }
+   for (s = 0; f->parents && s < f->S; s++) {
+      int32_t at;
+      dn_tensor_ints(f->parents, s, 1, &at);
+      if (at < -1 || (at >= 0 && (size_t)at >= s))
+         return dn__shape_fail(err, DN_BAD_SKIN, "parents", s, "joint ", s, NULL, 0, ": expected -1 or a joint before it");
+   }
+   f->I = 1;
+   for (v = 0; v < f->V; v++) {
+      for (used = s = 0; s < f->S; s += n) {
+         n = dn__min(f->S - s, 64);
+         dn_tensor_floats(f->weights, v * f->S + s, n, part);
+         for (i = 0; i < n; i++) used += part[i] > 0.0f;
+      }
+      f->I = dn__max(f->I, used);
+   }
+   f->names = dn_tensors_meta(file, "joint_names");
+   return f->names ? dn__shape_names(f->names, f->S, NULL, 0, NULL, &f->names_bytes, err) : DN_OK;
+}
+static void dn__shape_layout(dn_shape *h, const dn__shape_file *f, dn__arena *a)
+{
+   dn_shape_view *v = &h->view;
+   size_t rows = dn__mul(f->V, 3), joints = dn__mul(f->S, 3);
+   int has_joints = f->joint_rest || f->regressor;
+   v->rest = (float *)dn__take(a, rows, sizeof(float));
+   v->triangle = (uint32_t *)dn__take(a, dn__mul(f->T, 3), sizeof(uint32_t));
+   v->skin_joint = (uint32_t *)dn__take(a, dn__mul(f->V, f->I), sizeof(uint32_t));
+   v->skin_weight = (float *)dn__take(a, dn__mul(f->V, f->I), sizeof(float));
+   v->parents = f->parents ? (int32_t *)dn__take(a, f->S, sizeof(int32_t)) : NULL;
+   v->joint_rest = has_joints ? (float *)dn__take(a, joints, sizeof(float)) : NULL;
+   h->joint_shapedirs = has_joints ? (float *)dn__take(a, dn__mul(joints, f->B), sizeof(float)) : NULL;
+   h->shapedirs = (float *)dn__take(a, dn__mul(rows, f->B), sizeof(float));
+   h->posedirs = f->posedirs ? (float *)dn__take(a, f->posedirs->count, sizeof(float)) : NULL;
+   h->looseness = f->looseness ? (float *)dn__take(a, rows, sizeof(float)) : NULL;
+   v->joint_names = f->names ? (const char *const *)dn__take(a, f->S, sizeof(char *)) : NULL;
+   h->text = f->names ? (char *)dn__take(a, dn__max(f->names_bytes, 1), 1) : NULL;
+}
+/* (V,3,C) -> (C,V,3) */
+static void dn__shape_turn(const dn_tensor *t, size_t columns, float *out)
+{
+   size_t rows = t->count / columns, r, c, i, n;
+   float part[64];
+   for (r = 0; r < rows; r++)
+      for (c = 0; c < columns; c += n) {
+         n = dn__min(columns - c, 64);
+         dn_tensor_floats(t, r * columns + c, n, part);
+         for (i = 0; i < n; i++) out[(c + i) * rows + r] = part[i];
+      }
+}
+static void dn__shape_skin(const dn__shape_file *f, uint32_t *joint, float *weight)
+{
+   size_t v, s, i, n, k;
+   float part[64];
+   for (v = 0; v < f->V; v++, joint += f->I, weight += f->I) {
+      size_t used = 0;
+      double sum = 0.0;
+      for (s = 0; s < f->S; s += n) {
+         n = dn__min(f->S - s, 64);
+         dn_tensor_floats(f->weights, v * f->S + s, n, part);
+         for (i = 0; i < n; i++) {
+            if (!(part[i] > 0.0f)) continue;
+            for (k = used++; k > 0 && weight[k - 1] < part[i]; k--) joint[k] = joint[k - 1], weight[k] = weight[k - 1];
+            joint[k] = (uint32_t)(s + i);
+            weight[k] = part[i];
+            sum += (double)part[i];
+         }
+      }
+      if (used == 0) joint[0] = 0, weight[0] = 1.0f, used = 1, sum = 1.0;
+      for (k = 0; k < used; k++) weight[k] = (float)((double)weight[k] / sum);
+      for (; k < f->I; k++) joint[k] = joint[0], weight[k] = 0.0f;
+   }
+}
+/* joints = regressor v for the template and for every coefficient: linear in both, so it is done once */
+static void dn__shape_regress(const dn__shape_file *f, const dn_shape *h, float *rest, float *dirs, double *sum)
+{
+   size_t s, v, i, n, b, k;
+   float part[64];
+   for (s = 0; s < f->S; s++) {
+      for (i = 0; i < 3 * (f->B + 1); i++) sum[i] = 0.0;
+      for (v = 0; v < f->V; v += n) {
+         n = dn__min(f->V - v, 64);
+         dn_tensor_floats(f->regressor, s * f->V + v, n, part);
+         for (i = 0; i < n; i++) {
+            if (part[i] == 0.0f) continue;
+            for (k = 0; k < 3; k++) sum[k] += (double)part[i] * (double)h->view.rest[3 * (v + i) + k];
+            for (b = 0; b < f->B; b++)
+               for (k = 0; k < 3; k++) sum[3 * (b + 1) + k] += (double)part[i] * (double)h->shapedirs[3 * (b * f->V + v + i) + k];
+         }
+      }
+      for (k = 0; k < 3; k++) rest[3 * s + k] = (float)sum[k];
+      for (b = 0; b < f->B; b++)
+         for (k = 0; k < 3; k++) dirs[3 * (b * f->S + s) + k] = (float)sum[3 * (b + 1) + k];
+   }
+}
+static dn_result dn__shape_fill(dn_shape *h, const dn__shape_file *f, double *sum, dn_error *err)
+{
+   dn_shape_view *v = &h->view;
+   size_t bytes;
+   v->vertices = f->V;
+   v->triangles = f->T;
+   v->coefficients = f->B;
+   v->joints = f->S;
+   v->influences = f->I;
+   v->has_looseness = f->looseness != NULL;
+   v->has_pose_offsets = f->posedirs != NULL;
+   h->pose_coefficients = f->posedirs ? 9 * (f->S - 1) : 0;
+   dn_tensor_floats(f->rest, 0, f->rest->count, (float *)v->rest);
+   dn_tensor_ints(f->faces, 0, f->faces->count, (int32_t *)v->triangle); /* none is negative */
+   dn__shape_turn(f->shapedirs, f->B, (float *)h->shapedirs);
+   if (f->posedirs) dn__shape_turn(f->posedirs, h->pose_coefficients, (float *)h->posedirs);
+   if (f->looseness) dn_tensor_floats(f->looseness, 0, f->looseness->count, (float *)h->looseness);
+   if (f->parents) dn_tensor_ints(f->parents, 0, f->S, (int32_t *)v->parents);
+   dn__shape_skin(f, (uint32_t *)v->skin_joint, (float *)v->skin_weight);
+   if (f->joint_rest) {
+      dn_tensor_floats(f->joint_rest, 0, f->joint_rest->count, (float *)v->joint_rest);
+      dn__shape_turn(f->joint_shapedirs, f->B, (float *)h->joint_shapedirs);
+   } else if (f->regressor) dn__shape_regress(f, h, (float *)v->joint_rest, (float *)h->joint_shapedirs, sum);
+   return f->names ? dn__shape_names(f->names, f->S, h->text, f->names_bytes, (const char **)v->joint_names, &bytes, err) : DN_OK;
+}
+static size_t dn__shape_bytes(const dn__shape_file *f, size_t *scratch)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn_shape h;
+   memset(&h, 0, sizeof h);
+   dn__take(&a, 1, sizeof(dn_shape));
+   dn__shape_layout(&h, f, &a);
+   *scratch = dn__max(DN__ALIGN, dn__mul(f->regressor ? dn__mul(dn__add(f->B, 1), 3) : 0, sizeof(double)));
+   return a.used;
+}
+DN_API dn_result dn_shape_size(const dn_tensors *file, size_t *bytes, size_t *scratch, dn_error *err)
+{
+   dn__shape_file f;
+   dn_result r;
+   DN_ASSERT(file && bytes && scratch);
+   *bytes = *scratch = 0;
+   if ((r = dn__shape_open(file, &f, err)) != DN_OK) return r;
+   *bytes = dn__shape_bytes(&f, scratch);
+   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_shape, SIZE_MAX, "sizes overflow") : DN_OK;
+}
+DN_API dn_result dn_shape_init(const dn_tensors *file, void *memory, size_t bytes, void *scratch, size_t scratch_bytes,
+                               dn_shape **shape, dn_error *err)
+{
+   dn__shape_file f;
+   dn__arena a = dn__arena_of(memory, bytes);
+   size_t need, need_scratch;
+   dn_shape *h;
+   dn_result r;
+   DN_ASSERT(file && memory && scratch && shape && ((uintptr_t)memory & 63) == 0 && ((uintptr_t)scratch & 63) == 0);
+   *shape = NULL;
+   if ((r = dn__shape_open(file, &f, err)) != DN_OK) return r;
+   need = dn__shape_bytes(&f, &need_scratch);
+   if (bytes < need) return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_shape, SIZE_MAX, "memory: ", bytes, " bytes given, needed ", need, NULL);
+   if (scratch_bytes < need_scratch)
+      return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_shape, SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", need_scratch, NULL);
+   h = (dn_shape *)dn__take(&a, 1, sizeof(dn_shape));
+   memset(h, 0, sizeof *h);
+   dn__shape_layout(h, &f, &a);
+   h->view.bytes = a.used;
+   if ((r = dn__shape_fill(h, &f, (double *)scratch, err)) != DN_OK) return r;
+   *shape = h;
+   return DN_OK;
+}
+DN_API dn_shape *dn_shape_load(const void *file, size_t size, const dn_allocator *allocator, dn_error *err)
+{
+   dn_tensors *tensors = NULL;
+   dn_shape *shape = NULL;
+   void *table, *memory = NULL, *scratch = NULL;
+   size_t table_bytes = 0, bytes = 0, scratch_bytes = 0;
+   if (dn_tensors_size(file, size, &table_bytes, err)) return NULL;
+   table = dn__alloc(allocator, table_bytes);
+   if (!table) {
+      dn__fail_sizes(err, DN_NO_MEMORY, dn__where_shape, SIZE_MAX, "tensor table of ", table_bytes, NULL, 0, " bytes");
+      return NULL;
+   }
+   if (!dn_tensors_open(file, size, table, table_bytes, &tensors, err) && !dn_shape_size(tensors, &bytes, &scratch_bytes, err)) {
+      memory = dn__alloc(allocator, bytes);
+      scratch = memory ? dn__alloc(allocator, scratch_bytes) : NULL;
+      if (!scratch) dn__fail_sizes(err, DN_NO_MEMORY, dn__where_shape, SIZE_MAX, "shape of ", bytes, " bytes and scratch of ", scratch_bytes, " bytes");
+      else dn_shape_init(tensors, memory, bytes, scratch, scratch_bytes, &shape, err);
+   }
+   dn__release(allocator, scratch, scratch_bytes);
+   if (shape) {
+      shape->owned = 1;
+      shape->view.bytes = bytes; /* what free is told */
+      if (allocator) shape->allocator_copy = *allocator, shape->allocator = &shape->allocator_copy;
+   } else dn__release(allocator, memory, bytes);
+   dn__release(allocator, table, table_bytes);
+   return shape;
+}
+#ifndef DN_NO_STDIO
+DN_API dn_shape *dn_shape_load_file(const char *path, const dn_allocator *allocator, dn_error *err)
+{
+   dn_shape *shape = NULL;
+   FILE *f = fopen(path, "rb");
+   size_t size = f ? dn__file_size(f) : SIZE_MAX;
+   unsigned char *bytes = NULL;
+   if (!f) dn__file_fail(err, DN_IO, path, "cannot open ");
+   else if (size == SIZE_MAX) dn__file_fail(err, DN_IO, path, "cannot find the length of ");
+   else if (size == 0) dn__file_fail(err, DN_TRUNCATED, path, "found 0 bytes, expected at least 8 in ");
+   else if (!(bytes = (unsigned char *)dn__alloc(allocator, size))) dn__file_fail(err, DN_NO_MEMORY, path, "no memory for the bytes of ");
+   else if (fread(bytes, 1, size, f) != size) dn__file_fail(err, DN_IO, path, "cannot read all of ");
+   else shape = dn_shape_load(bytes, size, allocator, err);
+   dn__release(allocator, bytes, size);
+   if (f) fclose(f);
+   return shape;
+}
+#endif
+DN_API void dn_shape_free(dn_shape *shape)
+{
+   if (shape && shape->owned) {
+      dn_allocator a = shape->allocator_copy; /* the copy inside goes with the memory */
+      dn__release(shape->allocator ? &a : NULL, shape, shape->view.bytes);
+   }
+}
+DN_API void dn_shape_describe(const dn_shape *shape, dn_shape_view *view) { *view = shape->view; }
+
+/* out (+)= sum of scale_k dirs_k over the coefficients that are not 0, block by block so that out stays in the cache */
+typedef struct dn__blend_job {
+   size_t numbers, count;
+   const float *base;          /* (numbers) or NULL: out as it is */
+   const float *scale, *dirs;  /* (count), (count,numbers) */
+   const float *minus;         /* (9) taken off every nine scales, or NULL: the identity, for pose offsets */
+   const float *extra;         /* (numbers) or NULL, times extra_scale */
+   float extra_scale, *out;
+} dn__blend_job;
+static void dn__blend_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__blend_job *j = (const dn__blend_job *)job;
+   size_t block, k, i;
+   (void)worker;
+   for (block = begin; block < end; block++) {
+      size_t from = block * DN__SHAPE_BLOCK, n = dn__min(DN__SHAPE_BLOCK, j->numbers - from);
+      float *out = j->out + from;
+      if (j->base) memcpy(out, j->base + from, n * sizeof *out);
+      for (k = 0; k < j->count; k++) {
+         float scale = j->minus ? j->scale[k] - j->minus[k % 9] : j->scale[k];
+         const float *dir = j->dirs + k * j->numbers + from;
+         if (scale == 0.0f) continue;
+         for (i = 0; i < n; i++) out[i] += scale * dir[i];
+      }
+      if (j->extra && j->extra_scale != 0.0f)
+         for (i = 0; i < n; i++) out[i] += j->extra_scale * j->extra[from + i];
+   }
+}
+static void dn__blend(dn__blend_job *j, size_t numbers, const float *base, const float *scale, const float *dirs, size_t count,
+                      float *out, const dn_parallel *parallel)
+{
+   j->numbers = numbers;
+   j->base = base;
+   j->scale = scale;
+   j->dirs = dirs;
+   j->count = count;
+   j->out = out;
+   dn__for(parallel, numbers / DN__SHAPE_BLOCK + (numbers % DN__SHAPE_BLOCK != 0), 4, dn__blend_range, j);
+}
+DN_API void dn_shape_evaluate(const dn_shape *shape, const float *beta, size_t count, float looseness, float *positions,
+                              float *joints, const dn_parallel *parallel)
+{
+   const dn_shape_view *v = &shape->view;
+   dn__blend_job j;
+   DN_ASSERT(count <= v->coefficients && (count == 0 || beta) && (!joints || v->joint_rest));
+   memset(&j, 0, sizeof j);
+   if (joints) dn__blend(&j, 3 * v->joints, v->joint_rest, beta, shape->joint_shapedirs, count, joints, NULL);
+   j.extra = shape->looseness;
+   j.extra_scale = looseness;
+   if (positions) dn__blend(&j, 3 * v->vertices, v->rest, beta, shape->shapedirs, count, positions, parallel);
+}
+DN_API void dn_shape_pose_offsets(const dn_shape *shape, const float *rotations, float *positions, const dn_parallel *parallel)
+{
+   static const float identity[9] = { 1.0f, 0.0f, 0.0f, 0.0f, 1.0f, 0.0f, 0.0f, 0.0f, 1.0f };
+   dn__blend_job j;
+   if (!shape->posedirs) return;
+   memset(&j, 0, sizeof j);
+   j.minus = identity;
+   dn__blend(&j, 3 * shape->view.vertices, NULL, rotations + 9, shape->posedirs, shape->pose_coefficients, positions, parallel);
+}
+/* ===================================================================================== >>garment
+   in       a body with skin, a garment, their models; each frame a palette     out   dn_garment; positions (V,3)
+   touches  bind and change: the garment's memory and scratch; a frame: its scratch and the caller's output arrays
+   paper    association T 4.3, C 4.1; relative feature of a garment T 4.7; coarse and refined garment T 4.2, 4.3, C 4
+   flow     bind: both meshes checked and welded as in >>rig -> joints of each model -> association -> rest-pose clusters
+            frame: dn_garment_stage_follow -> _coarse -> _refine -> _output
+   read     dn__garment_seat (what garment and body have to do with each other), then the four stages */
+
+typedef struct dn__binding { /* one model's joints in this skeleton */
+   const uint32_t *map;      /* (S_model) */
+   const uint32_t *fold;     /* (S) or NULL, as in dn_rig */
+   const float *joint_rest;  /* (S_model,3) */
+   uint32_t root;
+} dn__binding;
+
+struct dn_garment {
+   const dn_model *model[2];      /* coarse, refine; either may be NULL */
+   dn__binding joints[2];
+   dn_garment_view view;
+   dn_allocator allocator;
+   const dn_allocator *allocator_used; /* NULL: DN_MALLOC, or &allocator */
+   int owned;
+   int wants_clusters, has_clusters;   /* "rest" pooling */
+   int spread;                         /* vertices of a node rest apart: see dn__garment_vertex */
+   int has_coarse_rest;
+   const float *rest_vertices;         /* (V,3) */
+   const float *anchor;                /* (N,3) the associated body node at rest */
+   const float *coarse_rest;           /* (N,3) */
+   const uint32_t *corner_first, *corner_tri; /* triangles at each garment node */
+   const uint32_t *body_skin_joint;    /* (body nodes,I) */
+   const float *body_skin_weight;
+   const uint32_t *body_triangle, *body_corner_first, *body_corner_tri;
+   dn_clusters clusters[2];            /* of the direction and the length branch */
+};
+
+/* --- the frame's scratch */
+typedef struct dn__wear {
+   float *palette;             /* (S,12) model space */
+   float *seen;                /* (S,12) what the stage's network sees: its frame, extra joints folded */
+   float *posed;               /* (S_model,3) joints in that frame */
+   float *root;                /* (9) rotation of that frame */
+   float *base, *base_low;     /* (N,3) the associated body node, posed, model space; what float leaves of it */
+   float *followed, *coarse, *coarse_displacement, *displacement, *refined; /* (N,3) model space, see dn_garment_nodes */
+   float *framed, *low;        /* (N,3) positions in the network's frame, as in dn__frame */
+   float *delta;               /* (N,3) coarse displacement in that frame */
+   float *normals;             /* (N,3) */
+   float *body, *body_low, *body_normals; /* (body nodes,3) in the coarse network's frame, where it reads normals */
+   float *rows;                /* (N,D) */
+   unsigned char *fell;        /* (N) a network was not finite here */
+   uint32_t *state;            /* (1) the palette is finite */
+   dn__net net[2];             /* one after the other in the same memory */
+} dn__wear;
+
+static int dn__stage_reads(const dn__stage *s, dn_feature feature)
+{
+   size_t k;
+   for (k = 0; k < s->feature_count; k++)
+      if (s->features[k] == feature) return 1;
+   return 0;
+}
+/* which of a model's stages runs as stage k of a garment: clothnet has both, the others one */
+static const dn__stage *dn__garment_stage(const dn_model *m, size_t k) { return &m->stage[m->info.arch == DN_CLOTHNET ? k : 0]; }
+static int dn__reads_body_normals(const dn_model *coarse) { return coarse && dn__stage_reads(dn__garment_stage(coarse, 0), DN_NORMAL); }
+
+typedef struct dn__wear_sizes { size_t nodes, neighbours, body_nodes, joints; } dn__wear_sizes;
+static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const dn__wear_sizes *s, const dn_clusters *rest,
+                            unsigned workers, dn__arena *a)
+{
+   size_t k, N3 = dn__mul(s->nodes, 3), B3, joints = 0, width = 0, from, most;
+   memset(f, 0, sizeof *f);
+   for (k = 0; k < 2; k++)
+      if (model[k]) {
+         joints = dn__max(joints, model[k]->info.joints);
+         width = dn__max(width, dn__garment_stage(model[k], k)->row_width);
+      }
+   f->palette = (float *)dn__take(a, dn__mul(s->joints, 12), sizeof(float));
+   f->seen = (float *)dn__take(a, dn__mul(s->joints, 12), sizeof(float));
+   f->posed = (float *)dn__take(a, dn__mul(joints, 3), sizeof(float));
+   f->root = (float *)dn__take(a, 9, sizeof(float));
+   f->base = (float *)dn__take(a, N3, sizeof(float));
+   f->base_low = (float *)dn__take(a, N3, sizeof(float));
+   f->followed = (float *)dn__take(a, N3, sizeof(float));
+   f->coarse = (float *)dn__take(a, N3, sizeof(float));
+   f->coarse_displacement = (float *)dn__take(a, N3, sizeof(float));
+   f->displacement = (float *)dn__take(a, N3, sizeof(float));
+   f->refined = (float *)dn__take(a, N3, sizeof(float));
+   f->framed = (float *)dn__take(a, N3, sizeof(float));
+   f->low = (float *)dn__take(a, N3, sizeof(float));
+   f->delta = (float *)dn__take(a, N3, sizeof(float));
+   f->normals = (float *)dn__take(a, N3, sizeof(float));
+   f->fell = (unsigned char *)dn__take(a, s->nodes, 1);
+   f->state = (uint32_t *)dn__take(a, 1, sizeof(uint32_t));
+   f->rows = (float *)dn__take(a, dn__mul(s->nodes, width), sizeof(float));
+   B3 = dn__mul(dn__reads_body_normals(model[0]) ? s->body_nodes : 0, 3);
+   from = most = a->used;
+   f->body = (float *)dn__take(a, B3, sizeof(float));
+   f->body_low = (float *)dn__take(a, B3, sizeof(float));
+   f->body_normals = (float *)dn__take(a, B3, sizeof(float));
+   most = a->used;
+   for (k = 0; k < 2; k++) { /* the posed body is not needed once the rows are written, a stage not once the next begins */
+      a->used = from;
+      if (model[k]) dn__garment_net_layout(&f->net[k], model[k], model[k]->info.arch == DN_CLOTHNET ? k : 0, s->nodes, s->neighbours, k == 1 ? rest : NULL, workers, a);
+      most = dn__max(most, a->used);
+   }
+   a->used = most;
+}
+static dn__wear_sizes dn__wear_sizes_of(const dn_garment *g)
+{
+   dn__wear_sizes s;
+   s.nodes = g->view.nodes;
+   s.neighbours = g->view.graph.first[g->view.nodes];
+   s.body_nodes = g->view.body_nodes;
+   s.joints = g->view.joints;
+   return s;
+}
+static size_t dn__wear_bytes(const dn_model *const model[2], const dn__wear_sizes *s, const dn_clusters *rest, unsigned workers)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__wear f;
+   dn__wear_layout(&f, model, s, rest, workers, &a);
+   return a.used;
+}
+static dn__wear dn__wear_of(const dn_garment *g, void *scratch, unsigned workers)
+{
+   dn__arena a = dn__arena_of(scratch, SIZE_MAX / 2);
+   dn__wear_sizes s = dn__wear_sizes_of(g);
+   dn__wear f;
+   dn__wear_layout(&f, g->model, &s, g->has_clusters ? g->clusters : NULL, workers, &a);
+   return f;
+}
+DN_API size_t dn_garment_scratch_size(const dn_garment *g, unsigned workers)
+{
+   dn__wear_sizes s = dn__wear_sizes_of(g);
+   return dn__wear_bytes(g->model, &s, g->has_clusters ? g->clusters : NULL, workers ? workers : 1);
+}
+DN_API void *dn_garment_scratch_create(const dn_garment *g, unsigned workers, const dn_allocator *allocator, size_t *bytes, dn_error *err)
+{
+   void *scratch;
+   DN_ASSERT(g && bytes);
+   *bytes = dn_garment_scratch_size(g, workers);
+   scratch = dn__alloc(allocator, *bytes);
+   if (!scratch) dn__fail_sizes(err, DN_NO_MEMORY, "garment frame", SIZE_MAX, "scratch of ", *bytes, NULL, 0, " bytes");
+   return scratch;
+}
+DN_API dn_garment_nodes dn_garment_nodes_of(const dn_garment *g, void *scratch)
+{
+   dn__wear f = dn__wear_of(g, scratch, 1); /* the workers do not move what lies before the network's buffers */
+   dn_garment_nodes n;
+   n.followed = f.followed;
+   n.coarse = f.coarse;
+   n.coarse_displacement = f.coarse_displacement;
+   n.displacement = f.displacement;
+   n.refined = f.refined;
+   return n;
+}
+
+/* --- stage 1: follow the body */
+typedef struct dn__wear_job {
+   const dn_garment *g;
+   const dn__wear *f;
+   const dn_garment_pose *pose;
+   const dn__stage *stage;
+   size_t k;                 /* 0 coarse, 1 refine */
+   dn_garment_output *out;
+   float strength;
+} dn__wear_job;
+static void dn__split(const double p[3], float *high, float *low)
+{
+   int k;
+   for (k = 0; k < 3; k++) {
+      high[k] = (float)p[k];
+      low[k] = (float)(p[k] - (double)high[k]);
+   }
+}
+/* a posed body node: as given, or LBS of its rest position; node n of `rest` with skin row n of joint and weight */
+static void dn__body_point(const dn__wear_job *j, size_t body_node, const float *rest, const uint32_t *joint,
+                           const float *weight, double p[3])
+{
+   const dn_garment_view *v = &j->g->view;
+   if (j->pose->body) {
+      float q[3];
+      int k;
+      memcpy(q, (const unsigned char *)j->pose->body + v->body_first_vertex[body_node] * dn__stride(j->pose->body_stride, 12), 12);
+      for (k = 0; k < 3; k++) p[k] = (double)q[k];
+   } else dn__lbs_point(joint, weight, v->influences, j->f->palette, rest, p);
+}
+static void dn__follow_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   const dn_garment_view *v = &j->g->view;
+   const dn__wear *f = j->f;
+   size_t i, k;
+   (void)worker;
+   for (i = begin; i < end; i++) {
+      const uint32_t *joint = v->skin_joint + i * v->influences;
+      const float *weight = v->skin_weight + i * v->influences, *anchor = j->g->anchor + 3 * i;
+      double m[12], base[3], own[3], skinned[3];
+      dn__lbs_blend_double(joint, weight, v->influences, f->palette, m);
+      dn__transform_double(m, v->rest + 3 * i, own);
+      dn__body_point(j, v->body_node[i], anchor, joint, weight, base);
+      if (j->pose->body) { /* where the body is not where LBS puts it, the garment goes along */
+         dn__transform_double(m, anchor, skinned);
+         for (k = 0; k < 3; k++) own[k] += base[k] - skinned[k];
+      }
+      dn__split(base, f->base + 3 * i, f->base_low + 3 * i);
+      for (k = 0; k < 3; k++) f->followed[3 * i + k] = (float)own[k];
+   }
+}
+DN_API dn_result dn_garment_stage_follow(const dn_garment *g, const dn_garment_pose *pose, void *scratch, size_t scratch_bytes,
+                                         const dn_parallel *parallel, dn_error *err)
+{
+   dn__wear f;
+   dn__wear_job job;
+   size_t s, floats, need = dn_garment_scratch_size(g, dn__workers(parallel));
+   DN_ASSERT(pose && pose->palette && scratch && ((uintptr_t)scratch & 63) == 0);
+   if (scratch_bytes < need) return dn__fail_sizes(err, DN_TOO_SMALL, "garment frame", SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", need, NULL);
+   f = dn__wear_of(g, scratch, dn__workers(parallel));
+   floats = dn__matrix_floats(pose->matrix);
+   *f.state = 1;
+   memset(f.fell, 0, g->view.nodes);
+   for (s = 0; s < g->view.joints; s++) {
+      dn__load_matrix(pose->palette + floats * s, pose->matrix, f.palette + 12 * s);
+      *f.state &= (uint32_t)dn__finite12(f.palette + 12 * s);
+   }
+   memset(&job, 0, sizeof job);
+   job.g = g;
+   job.f = &f;
+   job.pose = pose;
+   dn__for(parallel, g->view.nodes, 512, dn__follow_range, &job);
+   return DN_OK;
+}
+
+/* --- what both networks read */
+static void dn__unrotate(const float r[9], const double p[3], double out[3]) /* R^T p; out may not be p */
+{
+   int k;
+   for (k = 0; k < 3; k++) out[k] = (double)r[k] * p[0] + (double)r[3 + k] * p[1] + (double)r[6 + k] * p[2];
+}
+/* The posed body in the network's frame: the coarse stage takes its normals */
+static void dn__body_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   const dn_garment *g = j->g;
+   size_t i, I = g->view.influences;
+   (void)worker;
+   for (i = begin; i < end; i++) {
+      double p[3], x[3];
+      dn__body_point(j, i, g->view.body_rest + 3 * i, g->body_skin_joint + I * i, g->body_skin_weight + I * i, p);
+      dn__unrotate(j->f->root, p, x);
+      dn__split(x, j->f->body + 3 * i, j->f->body_low + 3 * i);
+   }
+}
+static void dn__body_normals_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   (void)worker;
+   dn__normals_fine_range(j->f->body, j->f->body_low, j->g->body_triangle, j->g->body_corner_first, j->g->body_corner_tri, begin, end, j->f->body_normals);
+}
+/* positions in the network's frame: the body node in the coarse stage, M_coarse in the refining one */
+static void dn__garment_framed_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   const dn__wear *f = j->f;
+   size_t i, k;
+   (void)worker;
+   for (i = 3 * begin; i < 3 * end; i += 3) {
+      double p[3], d[3], x[3];
+      for (k = 0; k < 3; k++) {
+         d[k] = j->k == 0 ? 0.0 : (double)f->coarse_displacement[i + k];
+         p[k] = (double)f->base[i + k] + (double)f->base_low[i + k] + d[k];
+      }
+      dn__unrotate(f->root, p, x);
+      dn__split(x, f->framed + i, f->low + i);
+      dn__unrotate(f->root, d, x);
+      for (k = 0; k < 3; k++) f->delta[i + k] = (float)x[k];
+   }
+}
+static void dn__garment_rows_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   const dn_garment *g = j->g;
+   const dn_garment_view *v = &g->view;
+   const dn__wear *f = j->f;
+   size_t i, k, c, D = j->stage->row_width, joints = g->model[j->k]->info.joints;
+   float *rows = f->rows;
+   (void)worker;
+   if (j->k == 1) dn__normals_fine_range(f->framed, f->low, v->triangle, g->corner_first, g->corner_tri, begin, end, f->normals);
+   for (k = 0; k < j->stage->feature_count; k++) {
+      switch (j->stage->features[k]) {
+      case DN_POSITION: dn__rows_position(f->framed, begin, end, rows, D); rows += 3; break;
+      case DN_RELATIVE: /* r_b', in the refining stage r_b' + Delta_coarse                              T 4.7 */
+         dn__rows_relative(g->anchor, v->skin_joint, v->skin_weight, v->influences, NULL, f->seen, begin, end, rows, D);
+         for (i = begin; i < end && j->k == 1; i++)
+            for (c = 0; c < 3; c++) rows[i * D + c] += f->delta[3 * i + c];
+         rows += 3;
+         break;
+      case DN_NORMAL:
+         if (j->k == 1) dn__rows_normal(f->normals, begin, end, rows, D);
+         else
+            for (i = begin; i < end; i++) memcpy(rows + i * D, f->body_normals + 3 * (size_t)v->body_node[i], 12);
+         rows += 3;
+         break;
+      case DN_DISTANCE: dn__rows_distance(f->framed, f->posed, joints, begin, end, rows, D); rows += joints; break;
+      case DN_FIT:
+         for (i = begin; i < end; i++) memcpy(rows + i * D, v->alpha, j->stage->fit * sizeof *rows);
+         rows += j->stage->fit;
+         break;
+      case DN_GEODESIC: /* refused by the loader: a garment is not solid */
+      default: break;
+      }
+   }
+}
+/* Stage k's network, up to displacements in model space; with `found` no further than its pools */
+static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn_garment_pose *pose, size_t k, float *displacement,
+                                const dn_parallel *parallel, const dn_probe *probe, dn_clusters *found)
+{
+   const dn_model *m = g->model[k];
+   const dn__stage *stage = dn__garment_stage(m, k);
+   const dn__binding *at = &g->joints[k];
+   size_t s, nodes = g->view.nodes, D = stage->row_width;
+   dn__wear_job job;
+   dn__run run;
+   for (s = 0; s < 9; s++) f->root[s] = s % 4 == 0 ? 1.0f : 0.0f;
+   if (m->info.root_frame) dn__root_rotation(f->palette + 12 * (size_t)at->root, f->root);
+   for (s = 0; s < g->view.joints; s++)
+      dn__root_palette(f->palette + 12 * (size_t)(at->fold ? at->fold[s] : (uint32_t)s), 1, f->root, f->seen + 12 * s);
+   dn__posed_joints(f->seen, at->map, at->joint_rest, m->info.joints, f->posed);
+   memset(&job, 0, sizeof job);
+   job.g = g;
+   job.f = f;
+   job.pose = pose;
+   job.stage = stage;
+   job.k = k;
+   if (k == 0 && dn__stage_reads(stage, DN_NORMAL)) {
+      dn__for(parallel, g->view.body_nodes, 512, dn__body_range, &job);
+      dn__for(parallel, g->view.body_nodes, 512, dn__body_normals_range, &job);
+   }
+   dn__for(parallel, nodes, 1024, dn__garment_framed_range, &job);
+   dn__for(parallel, nodes, 512, dn__garment_rows_range, &job);
+
+   run.m = m;
+   run.stage = stage;
+   run.g = &g->view.graph;
+   run.n = &f->net[k];
+   run.par = parallel;
+   run.probe = probe;
+   run.found = found;
+   dn__tap(&run, m->info.arch != DN_CLOTHNET ? "features" : k == 0 ? "coarse.features" : "detail.features", f->rows, 0, nodes, D, D);
+   if (run.n->shape) { /* beta, theta, alpha (T 4.3); alpha, beta, theta (C 4.3) */
+      const dn_garment_view *v = &g->view;
+      int cloth = m->info.arch == DN_CLOTHNET;
+      float *alpha = run.n->shape + (cloth ? 0 : v->betas + v->thetas), *beta = run.n->shape + (cloth ? v->alphas : 0);
+      float *theta = beta + v->betas;
+      if (v->alphas) memcpy(alpha, v->alpha, v->alphas * sizeof *alpha);
+      if (v->betas) memcpy(beta, v->beta, v->betas * sizeof *beta);
+      if (v->thetas && pose->theta) memcpy(theta, pose->theta, v->thetas * sizeof *theta);
+      else memset(theta, 0, v->thetas * sizeof *theta);
+   }
+   dn__normalise(stage, f->rows, nodes, parallel);
+   dn__run_garment(&run, f->rows, displacement);
+   if (!found) dn__displace(stage, f->root, displacement, nodes, parallel);
+}
+static int dn__finite3(const float *p) { return dn__finite(p[0]) & dn__finite(p[1]) & dn__finite(p[2]); }
+
+/* --- stage 2: M_coarse = I M_b + Delta_coarse */
+static void dn__coarse_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   const dn__wear *f = j->f;
+   size_t i, k;
+   int own = !j->pose->coarse_displacement && !j->g->model[0]; /* neither network nor caller: what was followed */
+   (void)worker;
+   for (i = begin; i < end; i++) {
+      float *d = f->coarse_displacement + 3 * i;
+      if (j->pose->coarse_displacement) memcpy(d, j->pose->coarse_displacement + 3 * i, 12);
+      for (k = 0; k < 3 && !own; k++) f->coarse[3 * i + k] = f->base[3 * i + k] + d[k];
+      if (!own && dn__finite3(d)) continue;
+      f->fell[i] |= (unsigned char)!own;
+      memcpy(f->coarse + 3 * i, f->followed + 3 * i, 12); /* the worst case is always the garment that follows */
+      for (k = 0; k < 3; k++) d[k] = f->followed[3 * i + k] - f->base[3 * i + k];
+   }
+}
+DN_API void dn_garment_stage_coarse(const dn_garment *g, const dn_garment_pose *pose, void *scratch, const dn_parallel *parallel,
+                                    const dn_probe *probe)
+{
+   dn__wear f = dn__wear_of(g, scratch, dn__workers(parallel));
+   dn__wear_job job;
+   memset(&job, 0, sizeof job);
+   job.g = g;
+   job.f = &f;
+   job.pose = pose;
+   if (g->model[0] && !pose->coarse_displacement) dn__garment_network(g, &f, pose, 0, f.coarse_displacement, parallel, probe, NULL);
+   dn__for(parallel, g->view.nodes, 1024, dn__coarse_range, &job);
+}
+
+/* --- stage 3: M = M_coarse + Delta, and the strength */
+static float dn__toward(float from, float to, float amount) { return amount >= 1.0f ? to : from + amount * (to - from); }
+static void dn__refine_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   const dn__wear *f = j->f;
+   size_t i, k;
+   (void)worker;
+   for (i = begin; i < end; i++) {
+      float *d = f->displacement + 3 * i;
+      if (!dn__finite3(d)) {
+         f->fell[i] = 1;
+         d[0] = d[1] = d[2] = 0.0f;
+      }
+      for (k = 0; k < 3; k++)
+         f->refined[3 * i + k] = dn__toward(f->followed[3 * i + k], f->coarse[3 * i + k] + d[k], j->strength);
+   }
+}
+DN_API void dn_garment_stage_refine(const dn_garment *g, const dn_garment_pose *pose, void *scratch, const dn_parallel *parallel,
+                                    const dn_probe *probe)
+{
+   dn__wear f = dn__wear_of(g, scratch, dn__workers(parallel));
+   dn__wear_job job;
+   memset(&job, 0, sizeof job);
+   job.g = g;
+   job.f = &f;
+   job.pose = pose;
+   job.strength = dn__unit_clamp(pose->strength);
+   if (g->model[1]) dn__garment_network(g, &f, pose, 1, f.displacement, parallel, probe, NULL);
+   else memset(f.displacement, 0, 3 * g->view.nodes * sizeof *f.displacement);
+   dn__for(parallel, g->view.nodes, 1024, dn__refine_range, &job);
+}
+
+/* --- stage 4: out to the caller. A vertex that rests beside its node (welded over a distance) keeps its place in the
+   node's blended frame. */
+static void dn__garment_vertex(const dn__wear_job *j, const float *nodes, size_t v, float p[3])
+{
+   const dn_garment_view *view = &j->g->view;
+   size_t i = view->node_of_vertex[v], k;
+   memcpy(p, nodes + 3 * i, 12);
+   if (j->g->spread) {
+      double m[12], x[3];
+      float beside[3];
+      for (k = 0; k < 3; k++) beside[k] = j->g->rest_vertices[3 * v + k] - view->rest[3 * i + k];
+      dn__lbs_blend_double(view->skin_joint + i * view->influences, view->skin_weight + i * view->influences, view->influences, j->f->palette, m);
+      m[3] = m[7] = m[11] = 0.0;
+      dn__transform_double(m, beside, x);
+      for (k = 0; k < 3; k++) p[k] += (float)x[k];
+   }
+}
+static void dn__garment_output_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   dn_garment_output *o = j->out;
+   size_t v;
+   (void)worker;
+   for (v = begin; v < end; v++) {
+      size_t i = j->g->view.node_of_vertex[v];
+      float p[3];
+      if (o->positions) {
+         dn__garment_vertex(j, j->f->refined, v, p);
+         memcpy(dn__strided(o->positions, dn__stride(o->position_stride, 12), v), p, 12);
+      }
+      if (o->coarse) {
+         dn__garment_vertex(j, j->f->coarse, v, p);
+         memcpy(dn__strided(o->coarse, dn__stride(o->coarse_stride, 12), v), p, 12);
+      }
+      if (o->displacement) memcpy(dn__strided(o->displacement, dn__stride(o->displacement_stride, 12), v), j->f->displacement + 3 * i, 12);
+      if (o->normals) memcpy(dn__strided(o->normals, dn__stride(o->normal_stride, 12), v), j->f->normals + 3 * i, 12);
+   }
+}
+static void dn__garment_normals_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wear_job *j = (const dn__wear_job *)job;
+   (void)worker;
+   dn__normals_range(j->f->refined, j->g->view.triangle, j->g->corner_first, j->g->corner_tri, begin, end, j->f->normals);
+}
+DN_API dn_result dn_garment_stage_output(const dn_garment *g, const dn_garment_pose *pose, dn_garment_output *out, void *scratch,
+                                         const dn_parallel *parallel, dn_error *err)
+{
+   dn__wear f = dn__wear_of(g, scratch, dn__workers(parallel));
+   dn__wear_job job;
+   size_t i, k;
+   DN_ASSERT(out && pose);
+   memset(&job, 0, sizeof job);
+   job.g = g;
+   job.f = &f;
+   job.pose = pose;
+   job.out = out;
+   if (out->normals) dn__for(parallel, g->view.nodes, 512, dn__garment_normals_range, &job);
+   dn__for(parallel, g->view.vertices, 1024, dn__garment_output_range, &job);
+   for (k = 0; k < 3; k++) {
+      out->bounds_min[k] = 3.402823466e38f;
+      out->bounds_max[k] = -3.402823466e38f;
+   }
+   for (i = 0; i < (g->spread ? g->view.vertices : g->view.nodes); i++) {
+      float p[3];
+      if (g->spread) dn__garment_vertex(&job, f.refined, i, p);
+      else memcpy(p, f.refined + 3 * i, 12);
+      for (k = 0; k < 3; k++) {
+         if (p[k] < out->bounds_min[k]) out->bounds_min[k] = p[k];
+         if (p[k] > out->bounds_max[k]) out->bounds_max[k] = p[k];
+      }
+   }
+   out->fallback_nodes = 0;
+   for (i = 0; i < g->view.nodes; i++) out->fallback_nodes += f.fell[i];
+   if (out->fallback_nodes == 0 && *f.state) return DN_OK;
+   return dn__fail_sizes(err, DN_NOT_FINITE, "garment frame", SIZE_MAX, *f.state ? "nodes that took the step before: " : "the palette is not finite; nodes that took the step before: ",
+                         out->fallback_nodes, " of ", g->view.nodes, NULL);
+}
+DN_API dn_result dn_garment_deform(const dn_garment *g, const dn_garment_pose *pose, dn_garment_output *out, void *scratch,
+                                   size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
+{
+   dn_result r = dn_garment_stage_follow(g, pose, scratch, scratch_bytes, parallel, err);
+   if (r != DN_OK) return r;
+   dn_garment_stage_coarse(g, pose, scratch, parallel, NULL);
+   dn_garment_stage_refine(g, pose, scratch, parallel, NULL);
+   return dn_garment_stage_output(g, pose, out, scratch, parallel, err);
+}
+
+/* --- bind: two meshes through the same steps as a rig's, then what lies between them */
+typedef struct dn__tailor {
+   const dn_garment_desc *desc;
+   const dn_model *model[2];
+   dn_error *err;
+   dn_rig_desc body_desc, garment_desc;
+   dn__bind body, garment;
+   dn_garment_report report;
+   void *work;                /* of dn__garment_seat and dn__garment_renew */
+   size_t work_bytes;
+} dn__tailor;
+static const char dn__where_garment[] = "garment bind";
+
+static dn_result dn__garment_numbers(const float *x, size_t count, const char *name, dn_error *err)
+{
+   size_t i;
+   for (i = 0; i < count; i++)
+      if (!dn__finite(x[i])) return dn__fail_sizes(err, DN_BAD_VALUE, dn__where_garment, i, name, i, NULL, 0, " is not finite");
+   return DN_OK;
+}
+static dn_result dn__garment_model(const dn__tailor *t, size_t k)
+{
+   const dn_garment_desc *d = t->desc;
+   const dn_model *m = t->model[k];
+   dn_arch kind = k == 0 ? DN_GARFIT_COARSE : DN_GARFITNET;
+   const dn__stage *stage;
+   char line[240];
+   dn__text text = dn__text_of(line, sizeof line);
+   if (!m) return DN_OK;
+   if (m->info.arch != kind && m->info.arch != DN_CLOTHNET) {
+      dn__put(&text, k == 0 ? "coarse: the model is of the kind " : "refine: the model is of the kind ");
+      dn__put(&text, m->info.arch_name);
+      dn__put(&text, k == 0 ? ", expected garfit_coarse or clothnet" : ", expected garfitnet or clothnet");
+      return dn__fail(t->err, DN_UNSUPPORTED, dn__where_garment, SIZE_MAX, line);
+   }
+   stage = dn__garment_stage(m, k);
+   if (stage->fit > d->alphas)
+      return dn__fail_sizes(t->err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "alphas: found ", d->alphas, ", the model's feature fit reads ", stage->fit, NULL);
+   if (k == 1 && dn__add(dn__add(d->alphas, d->betas), d->thetas) != m->info.parser) {
+      dn__put(&text, "alphas + betas + thetas: found ");
+      dn__put_size(&text, d->alphas);
+      dn__put(&text, " + ");
+      dn__put_size(&text, d->betas);
+      dn__put(&text, " + ");
+      dn__put_size(&text, d->thetas);
+      dn__put(&text, ", the model reads ");
+      dn__put_size(&text, m->info.parser);
+      return dn__fail(t->err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, line);
+   }
+   return DN_OK;
+}
+static dn_result dn__tailor_open(dn__tailor *t, const dn_garment_desc *d, dn_error *err)
+{
+   dn_result r;
+   memset(t, 0, sizeof *t);
+   t->desc = d;
+   t->err = err;
+   t->model[0] = d->coarse ? d->coarse : d->refine && d->refine->info.arch == DN_CLOTHNET ? d->refine : NULL;
+   t->model[1] = d->refine;
+   t->body_desc.mesh = d->body;
+   t->body_desc.skeleton = d->skeleton;
+   t->garment_desc.mesh = d->garment;
+   t->body_desc.weld_distance = t->garment_desc.weld_distance = d->weld_distance;
+   t->body_desc.parallel = t->garment_desc.parallel = d->parallel;
+   t->body_desc.progress = t->garment_desc.progress = d->progress;
+   if ((r = dn__bind_open(&t->body, NULL, &t->body_desc, "garment bind: body", 0, err)) != DN_OK) return r;
+   if ((r = dn__bind_open(&t->garment, NULL, &t->garment_desc, "garment bind: garment", 1, err)) != DN_OK) return r;
+   if (d->alphas > DN_MAX_DIM || d->betas > DN_MAX_DIM || d->thetas > DN_MAX_DIM)
+      return dn__fail_sizes(err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "alphas, betas, thetas: found ", dn__max(d->alphas, dn__max(d->betas, d->thetas)), ", expected at most ", DN_MAX_DIM, NULL);
+   DN_ASSERT((d->alphas == 0 || d->alpha) && (d->betas == 0 || d->beta));
+   if ((r = dn__garment_numbers(d->alpha, d->alphas, "alpha ", err)) != DN_OK) return r;
+   if ((r = dn__garment_numbers(d->beta, d->betas, "beta ", err)) != DN_OK) return r;
+   if ((r = dn__garment_model(t, 0)) != DN_OK) return r;
+   return dn__garment_model(t, 1);
+}
+static int dn__tailor_wants_clusters(const dn__tailor *t) { return t->model[1] && t->model[1]->info.pooling == DN_POOL_REST; }
+/* scratch of dn__garment_seat, then of dn__garment_renew: the network up to its pools on the rest pose */
+static size_t dn__renew_bytes(const dn_model *const model[2], const dn__wear_sizes *s, int wants_clusters, unsigned workers)
+{
+   size_t frame = wants_clusters ? dn__add(dn__round(dn__mul(s->joints, 12 * sizeof(float)), DN__ALIGN), dn__wear_bytes(model, s, NULL, workers)) : 0;
+   return dn__max(frame, dn_associate_scratch(s->body_nodes));
+}
+static void dn__tailor_memory(dn__tailor *t, dn__arena *a)
+{
+   dn__wear_sizes s;
+   dn__bind_memory(&t->body, a);
+   dn__bind_memory(&t->garment, a);
+   s.nodes = t->garment.vertices;
+   s.neighbours = dn__mul(t->garment.triangles, 6);
+   s.body_nodes = t->body.vertices;
+   s.joints = t->body.joints;
+   t->work_bytes = dn__renew_bytes(t->model, &s, dn__tailor_wants_clusters(t), dn__workers(t->desc->parallel));
+   t->work = dn__take(a, t->work_bytes, 1);
+}
+typedef struct dn__garment_sizes { size_t nodes, neighbours, kept, body_nodes, body_kept; } dn__garment_sizes;
+static dn__garment_sizes dn__garment_bounds(const dn__tailor *t)
+{
+   dn__garment_sizes s;
+   s.nodes = t->garment.vertices;
+   s.neighbours = dn__mul(t->garment.triangles, 6);
+   s.kept = t->garment.triangles;
+   s.body_nodes = t->body.vertices;
+   s.body_kept = t->body.triangles;
+   return s;
+}
+static dn__garment_sizes dn__garment_exact(const dn__tailor *t)
+{
+   dn__garment_sizes s;
+   s.nodes = t->garment.nodes;
+   s.neighbours = t->garment.neighbours;
+   s.kept = t->garment.kept;
+   s.body_nodes = t->body.nodes;
+   s.body_kept = t->body.kept;
+   return s;
+}
+static void dn__garment_layout(dn_garment *g, const dn__tailor *t, const dn__garment_sizes *s, dn__arena *a)
+{
+   dn_garment_view *v = &g->view;
+   size_t V = t->garment.vertices, I = t->body.influences, N3 = dn__mul(s->nodes, 3), k;
+   v->node_of_vertex = (uint32_t *)dn__take(a, V, sizeof(uint32_t));
+   v->first_vertex = (uint32_t *)dn__take(a, s->nodes, sizeof(uint32_t));
+   v->rest = (float *)dn__take(a, N3, sizeof(float));
+   v->triangle = (uint32_t *)dn__take(a, dn__mul(s->kept, 3), sizeof(uint32_t));
+   v->graph.first = (uint32_t *)dn__take(a, dn__add(s->nodes, 1), sizeof(uint32_t));
+   v->graph.next = (uint32_t *)dn__take(a, s->neighbours, sizeof(uint32_t));
+   v->body_node = (uint32_t *)dn__take(a, s->nodes, sizeof(uint32_t));
+   v->skin_joint = (uint32_t *)dn__take(a, dn__mul(s->nodes, I), sizeof(uint32_t));
+   v->skin_weight = (float *)dn__take(a, dn__mul(s->nodes, I), sizeof(float));
+   v->alpha = (float *)dn__take(a, t->desc->alphas, sizeof(float));
+   v->beta = (float *)dn__take(a, t->desc->betas, sizeof(float));
+   v->body_node_of_vertex = (uint32_t *)dn__take(a, t->body.vertices, sizeof(uint32_t));
+   v->body_first_vertex = (uint32_t *)dn__take(a, s->body_nodes, sizeof(uint32_t));
+   v->body_rest = (float *)dn__take(a, dn__mul(s->body_nodes, 3), sizeof(float));
+   g->body_skin_joint = (uint32_t *)dn__take(a, dn__mul(s->body_nodes, I), sizeof(uint32_t));
+   g->body_skin_weight = (float *)dn__take(a, dn__mul(s->body_nodes, I), sizeof(float));
+   g->body_triangle = (uint32_t *)dn__take(a, dn__mul(s->body_kept, 3), sizeof(uint32_t));
+   g->body_corner_first = (uint32_t *)dn__take(a, dn__add(s->body_nodes, 1), sizeof(uint32_t));
+   g->body_corner_tri = (uint32_t *)dn__take(a, dn__mul(s->body_kept, 3), sizeof(uint32_t));
+   g->rest_vertices = (float *)dn__take(a, dn__mul(V, 3), sizeof(float));
+   g->anchor = (float *)dn__take(a, N3, sizeof(float));
+   g->coarse_rest = (float *)dn__take(a, N3, sizeof(float));
+   g->corner_first = (uint32_t *)dn__take(a, dn__add(s->nodes, 1), sizeof(uint32_t));
+   g->corner_tri = (uint32_t *)dn__take(a, dn__mul(s->kept, 3), sizeof(uint32_t));
+   for (k = 0; k < 2; k++) {
+      size_t joints = t->model[k] ? t->model[k]->info.joints : 0;
+      g->joints[k].map = (uint32_t *)dn__take(a, joints, sizeof(uint32_t));
+      g->joints[k].joint_rest = (float *)dn__take(a, dn__mul(joints, 3), sizeof(float));
+      g->joints[k].fold = (uint32_t *)dn__take(a, t->model[k] ? t->body.joints : 0, sizeof(uint32_t));
+      if (dn__tailor_wants_clusters(t)) {
+         dn__clusters_layout(&g->clusters[k], s->nodes, s->neighbours, a);
+         g->clusters[k].score = (float *)dn__take(a, s->nodes, sizeof(float));
+      }
+   }
+}
+
+/* --- what garment and body have to do with each other. I: each garment node's closest body node at rest (T 4.3, C 4.1) */
+static void dn__garment_seat(dn_garment *g, void *scratch, const dn_parallel *parallel)
+{
+   dn_garment_view *v = &g->view;
+   size_t i, I = v->influences;
+   dn_associate(v->body_rest, v->body_nodes, v->rest, v->nodes, (uint32_t *)v->body_node, scratch, parallel);
+   for (i = 0; i < v->nodes; i++) {
+      size_t b = v->body_node[i];
+      memcpy((float *)g->anchor + 3 * i, v->body_rest + 3 * b, 12);
+      memcpy((uint32_t *)v->skin_joint + I * i, g->body_skin_joint + I * b, I * sizeof(uint32_t));
+      memcpy((float *)v->skin_weight + I * i, g->body_skin_weight + I * b, I * sizeof(float));
+   }
+}
+/* nodes and vertices at rest, from positions (V,3) with a stride in bytes */
+static void dn__garment_place(dn_garment *g, const float *body, size_t body_stride, const float *garment, size_t garment_stride)
+{
+   dn_garment_view *v = &g->view;
+   size_t i;
+   for (i = 0; body && i < v->body_nodes; i++)
+      memcpy((float *)v->body_rest + 3 * i, (const unsigned char *)body + v->body_first_vertex[i] * body_stride, 12);
+   if (!garment) return;
+   for (i = 0; i < v->vertices; i++) memcpy((float *)g->rest_vertices + 3 * i, (const unsigned char *)garment + i * garment_stride, 12);
+   for (i = 0; i < v->nodes; i++) memcpy((float *)v->rest + 3 * i, g->rest_vertices + 3 * (size_t)v->first_vertex[i], 12);
+   for (g->spread = 0, i = 0; i < 3 * v->vertices; i++) {
+      float x = g->rest_vertices[i], y = v->rest[3 * (size_t)v->node_of_vertex[i / 3] + i % 3];
+      g->spread |= x < y || x > y;
+   }
+}
+/* "rest" pooling: the networks up to the pools with every palette entry the identity and theta 0 */
+static void dn__garment_renew(dn_garment *g, void *work, size_t work_bytes, const dn_parallel *parallel)
+{
+   dn__arena a = dn__arena_of(work, work_bytes);
+   float *identity;
+   void *scratch;
+   size_t s, k;
+   dn_garment_pose pose;
+   dn__wear f;
+   g->has_clusters = 0;
+   if (!g->wants_clusters) return;
+   identity = (float *)dn__take(&a, dn__mul(g->view.joints, 12), sizeof(float));
+   scratch = (unsigned char *)work + a.used;
+   for (s = 0; s < g->view.joints; s++)
+      for (k = 0; k < 12; k++) identity[12 * s + k] = k % 5 == 0 ? 1.0f : 0.0f;
+   memset(&pose, 0, sizeof pose);
+   pose.palette = identity;
+   if (g->has_coarse_rest) pose.coarse_displacement = g->coarse_rest;
+   dn_garment_stage_follow(g, &pose, scratch, work_bytes - a.used, parallel, NULL);
+   dn_garment_stage_coarse(g, &pose, scratch, parallel, NULL);
+   f = dn__wear_of(g, scratch, dn__workers(parallel));
+   dn__garment_network(g, &f, &pose, 1, NULL, parallel, NULL, g->clusters);
+   g->has_clusters = 1;
+}
+
+static dn_result dn__tailor_prepare(dn__tailor *t)
+{
+   dn_result r = dn__bind_prepare(&t->body);
+   if (r == DN_OK) r = dn__bind_prepare(&t->garment);
+   t->report.body = t->body.report;
+   t->report.garment = t->garment.report;
+   return r;
+}
+static dn_result dn__garment_joints(dn__tailor *t, dn_garment *g, size_t k)
+{
+   dn__binding *at = &g->joints[k];
+   dn__bind *b = &t->body;
+   dn_result r;
+   if (!t->model[k]) return DN_OK;
+   b->model = t->model[k];
+   b->model_joints = t->model[k]->info.joints;
+   b->report.joints_matched = b->report.joints_folded = 0;
+   if ((r = dn__bind_joints(b, (uint32_t *)at->map, (uint32_t *)at->fold)) != DN_OK) return r;
+   if ((r = dn__bind_joint_rest(b, at->map, (float *)at->joint_rest)) != DN_OK) return r;
+   at->root = b->model_joints ? at->map[0] : 0;
+   if (b->report.joints_folded == 0) at->fold = NULL;
+   t->report.body.joints_matched = dn__max(t->report.body.joints_matched, b->report.joints_matched);
+   t->report.body.joints_folded = dn__max(t->report.body.joints_folded, b->report.joints_folded);
+   return DN_OK;
+}
+static void dn__garment_copy(dn__tailor *t, dn_garment *g)
+{
+   dn_garment_view *v = &g->view;
+   const dn__bind *b = &t->body, *c = &t->garment;
+   size_t i, I = b->influences;
+   v->vertices = c->vertices;
+   v->nodes = v->graph.nodes = c->nodes;
+   v->body_vertices = b->vertices;
+   v->body_nodes = b->nodes;
+   v->joints = b->joints;
+   v->influences = I;
+   v->triangles = c->kept;
+   v->alphas = t->desc->alphas;
+   v->betas = t->desc->betas;
+   v->thetas = t->desc->thetas;
+   memcpy((uint32_t *)v->node_of_vertex, c->node_of_vertex, c->vertices * sizeof(uint32_t));
+   memcpy((uint32_t *)v->first_vertex, c->first_vertex, c->nodes * sizeof(uint32_t));
+   memcpy((uint32_t *)v->triangle, c->triangle, 3 * c->kept * sizeof(uint32_t));
+   memcpy((uint32_t *)v->graph.first, c->first, (c->nodes + 1) * sizeof(uint32_t));
+   memcpy((uint32_t *)v->graph.next, c->next, c->neighbours * sizeof(uint32_t));
+   memcpy((uint32_t *)v->body_node_of_vertex, b->node_of_vertex, b->vertices * sizeof(uint32_t));
+   memcpy((uint32_t *)v->body_first_vertex, b->first_vertex, b->nodes * sizeof(uint32_t));
+   memcpy((uint32_t *)g->body_triangle, b->triangle, 3 * b->kept * sizeof(uint32_t));
+   for (i = 0; i < b->nodes; i++) {
+      memcpy((uint32_t *)g->body_skin_joint + I * i, b->joint + I * (size_t)b->first_vertex[i], I * sizeof(uint32_t));
+      memcpy((float *)g->body_skin_weight + I * i, b->weight + I * (size_t)b->first_vertex[i], I * sizeof(float));
+   }
+   if (v->alphas) memcpy((float *)v->alpha, t->desc->alpha, v->alphas * sizeof(float));
+   if (v->betas) memcpy((float *)v->beta, t->desc->beta, v->betas * sizeof(float));
+   dn__corners_build(v->triangle, c->kept, c->nodes, (uint32_t *)g->corner_first, (uint32_t *)g->corner_tri);
+   dn__corners_build(g->body_triangle, b->kept, b->nodes, (uint32_t *)g->body_corner_first, (uint32_t *)g->body_corner_tri);
+}
+static dn_result dn__garment_coarse_rest(dn_garment *g, const float *coarse_rest, dn_error *err)
+{
+   dn_result r = dn__garment_numbers(coarse_rest, coarse_rest ? 3 * g->view.nodes : 0, "coarse_rest: number ", err);
+   if (r != DN_OK || !coarse_rest) return r;
+   memcpy((float *)g->coarse_rest, coarse_rest, 3 * g->view.nodes * sizeof(float));
+   g->has_coarse_rest = 1;
+   return DN_OK;
+}
+static dn_result dn__garment_finish(dn__tailor *t, dn_garment *g)
+{
+   dn_garment_view *v = &g->view;
+   double farthest = 0.0;
+   size_t i, k;
+   dn_result r;
+   unsigned char *used = (unsigned char *)t->body.joint; /* no longer needed once copied: a byte for each body node */
+   g->model[0] = t->model[0];
+   g->model[1] = t->model[1];
+   g->wants_clusters = dn__tailor_wants_clusters(t);
+   dn__garment_copy(t, g);
+   for (k = 0; k < 2; k++)
+      if ((r = dn__garment_joints(t, g, k)) != DN_OK) return r;
+   if (t->desc->coarse_rest && t->desc->coarse_rest_nodes != v->nodes)
+      return dn__fail_sizes(t->err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "coarse_rest: ", t->desc->coarse_rest_nodes, " nodes given, the garment has ", v->nodes, NULL);
+   if ((r = dn__garment_coarse_rest(g, t->desc->coarse_rest, t->err)) != DN_OK) return r;
+   dn__garment_place(g, t->body.positions, 12, t->garment.positions, 12);
+   if (dn__step(&t->garment, "association", 0.0f)) return dn__cancelled(&t->garment);
+   dn__garment_seat(g, t->work, t->desc->parallel);
+   memset(used, 0, v->body_nodes);
+   for (i = 0; i < v->nodes; i++) {
+      const float *p = v->rest + 3 * i, *q = g->anchor + 3 * i;
+      double x = (double)p[0] - (double)q[0], y = (double)p[1] - (double)q[1], z = (double)p[2] - (double)q[2];
+      double d = DN_SQRT(x * x + y * y + z * z);
+      farthest = d > farthest ? d : farthest;
+      t->report.body_nodes_used += !used[v->body_node[i]];
+      used[v->body_node[i]] = 1;
+   }
+   t->report.farthest = (float)farthest;
+   if (g->wants_clusters && dn__step(&t->garment, "rest pooling", 0.0f)) return dn__cancelled(&t->garment);
+   dn__garment_renew(g, t->work, t->work_bytes, t->desc->parallel);
+   dn__step(&t->garment, "done", 1.0f);
+   return DN_OK;
+}
+
+DN_API dn_result dn_garment_size(const dn_garment_desc *desc, size_t *bytes, size_t *scratch, dn_error *err)
+{
+   dn__tailor t;
+   dn__arena kept = dn__arena_of(NULL, 0), temp = dn__arena_of(NULL, 0);
+   dn__garment_sizes s;
+   dn_garment measure;
+   dn_result r;
+   DN_ASSERT(desc && bytes && scratch);
+   if ((r = dn__tailor_open(&t, desc, err)) != DN_OK) return r;
+   s = dn__garment_bounds(&t);
+   dn__take(&kept, 1, sizeof(dn_garment));
+   dn__garment_layout(&measure, &t, &s, &kept);
+   dn__tailor_memory(&t, &temp);
+   *bytes = kept.used;
+   *scratch = temp.used;
+   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_garment, SIZE_MAX, "sizes overflow") : DN_OK;
+}
+/* prepared meshes into memory of exactly the right size */
+static dn_result dn__garment_build(dn__tailor *t, void *memory, size_t bytes, dn_garment **garment)
+{
+   dn__arena kept = dn__arena_of(memory, bytes);
+   dn__garment_sizes s = dn__garment_exact(t);
+   dn_garment *g = (dn_garment *)dn__take(&kept, 1, sizeof(dn_garment));
+   dn_result r;
+   if (!g) return dn__fail_sizes(t->err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "memory: ", bytes, " bytes given, too small", 0, NULL);
+   memset(g, 0, sizeof *g);
+   dn__garment_layout(g, t, &s, &kept);
+   if (kept.used > bytes) return dn__fail_sizes(t->err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "memory: ", bytes, " bytes given, needed ", kept.used, NULL);
+   g->view.bytes = kept.used;
+   if ((r = dn__garment_finish(t, g)) != DN_OK) return r;
+   *garment = g;
+   return DN_OK;
+}
+static dn_result dn__tailor_start(dn__tailor *t, const dn_garment_desc *desc, void *scratch, size_t scratch_bytes, dn_error *err)
+{
+   dn__arena temp = dn__arena_of(scratch, scratch_bytes);
+   dn_result r = dn__tailor_open(t, desc, err);
+   if (r != DN_OK) return r;
+   dn__tailor_memory(t, &temp);
+   if (temp.used > scratch_bytes) return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", temp.used, NULL);
+   return dn__tailor_prepare(t);
+}
+DN_API dn_result dn_garment_init(const dn_garment_desc *desc, void *memory, size_t bytes, void *scratch, size_t scratch_bytes,
+                                 dn_garment **garment, dn_garment_report *report, dn_error *err)
+{
+   dn__tailor t;
+   dn_result r;
+   DN_ASSERT(desc && memory && scratch && garment && ((uintptr_t)memory & 63) == 0 && ((uintptr_t)scratch & 63) == 0);
+   *garment = NULL;
+   r = dn__tailor_start(&t, desc, scratch, scratch_bytes, err);
+   if (r == DN_OK) r = dn__garment_build(&t, memory, bytes, garment);
+   if (r == DN_OK && report) *report = t.report;
+   return r;
+}
+DN_API dn_garment *dn_garment_create(const dn_garment_desc *desc, const dn_allocator *allocator, dn_garment_report *report,
+                                     dn_error *err)
+{
+   dn__tailor t;
+   dn_garment *garment = NULL;
+   size_t bytes = 0, scratch_bytes = 0;
+   void *scratch, *memory = NULL;
+   if (dn_garment_size(desc, &bytes, &scratch_bytes, err) != DN_OK) return NULL;
+   scratch = dn__alloc(allocator, scratch_bytes);
+   if (!scratch) {
+      dn__fail_sizes(err, DN_NO_MEMORY, dn__where_garment, SIZE_MAX, "scratch of ", scratch_bytes, NULL, 0, " bytes");
+      return NULL;
+   }
+   if (dn__tailor_start(&t, desc, scratch, scratch_bytes, err) == DN_OK) { /* welded: the size is exact now */
+      dn__arena kept = dn__arena_of(NULL, 0);
+      dn__garment_sizes s = dn__garment_exact(&t);
+      dn_garment measure;
+      dn__take(&kept, 1, sizeof(dn_garment));
+      dn__garment_layout(&measure, &t, &s, &kept);
+      bytes = kept.used;
+      memory = dn__alloc(allocator, bytes);
+      if (!memory) dn__fail_sizes(err, DN_NO_MEMORY, dn__where_garment, SIZE_MAX, "garment of ", bytes, NULL, 0, " bytes");
+      else if (dn__garment_build(&t, memory, bytes, &garment) != DN_OK) dn__release(allocator, memory, bytes);
+   }
+   dn__release(allocator, scratch, scratch_bytes);
+   if (garment) {
+      garment->owned = 1;
+      if (allocator) garment->allocator = *allocator, garment->allocator_used = &garment->allocator;
+      if (report) *report = t.report;
+   }
+   return garment;
+}
+DN_API void dn_garment_free(dn_garment *g)
+{
+   if (g && g->owned) {
+      dn_allocator a = g->allocator; /* the copy inside goes with the memory */
+      dn__release(g->allocator_used ? &a : NULL, g, g->view.bytes);
+   }
+}
+DN_API void dn_garment_describe(const dn_garment *g, dn_garment_view *view) { *view = g->view; }
+
+/* --- change: everything is checked first, so that a refusal leaves the garment as it was */
+DN_API size_t dn_garment_change_size(const dn_garment *g, unsigned workers)
+{
+   dn__wear_sizes s = dn__wear_sizes_of(g);
+   size_t joints = 0, k;
+   for (k = 0; k < 2; k++) joints = dn__max(joints, g->model[k] ? g->model[k]->info.joints : 0);
+   return dn__max(dn__renew_bytes(g->model, &s, g->wants_clusters, workers ? workers : 1),
+                  dn__round(dn__mul(2 * joints, 3 * sizeof(float)), DN__ALIGN));
+}
+static dn_result dn__change_positions(const float *p, size_t stride, size_t vertices, const char *what, dn_error *err)
+{
+   size_t v;
+   for (v = 0; p && v < vertices; v++) {
+      float x[3];
+      memcpy(x, (const unsigned char *)p + v * stride, 12);
+      if (!dn__finite3(x)) return dn__fail_sizes(err, DN_BAD_MESH, "garment change", v, what, v, NULL, 0, ": its position is not finite");
+   }
+   return DN_OK;
+}
+DN_API dn_result dn_garment_change(dn_garment *g, const dn_garment_changes *c, void *scratch, size_t scratch_bytes, dn_error *err)
+{
+   size_t need = dn_garment_change_size(g, dn__workers(c->parallel)), k, body_stride = dn__stride(c->body_position_stride, 12);
+   size_t garment_stride = dn__stride(c->garment_position_stride, 12);
+   float *joint_rest[2];
+   dn_garment_view *v = &g->view;
+   dn_rig_desc desc;
+   dn__bind b;
+   dn_result r;
+   DN_ASSERT(c && scratch && ((uintptr_t)scratch & 63) == 0);
+   if (scratch_bytes < need) return dn__fail_sizes(err, DN_TOO_SMALL, "garment change", SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", need, NULL);
+   if ((r = dn__change_positions(c->body_positions, body_stride, v->body_vertices, "body vertex ", err)) != DN_OK) return r;
+   if ((r = dn__change_positions(c->garment_positions, garment_stride, v->vertices, "garment vertex ", err)) != DN_OK) return r;
+   if ((r = dn__garment_numbers(c->alpha, c->alpha ? v->alphas : 0, "alpha ", err)) != DN_OK) return r;
+   if ((r = dn__garment_numbers(c->beta, c->beta ? v->betas : 0, "beta ", err)) != DN_OK) return r;
+   if ((r = dn__garment_numbers(c->coarse_rest, c->coarse_rest ? 3 * v->nodes : 0, "coarse_rest: number ", err)) != DN_OK) return r;
+   memset(&desc, 0, sizeof desc);
+   memset(&b, 0, sizeof b);
+   desc.skeleton.inverse_bind = c->inverse_bind;
+   desc.skeleton.matrix = c->matrix;
+   b.where = "garment change";
+   b.desc = &desc;
+   b.err = err;
+   joint_rest[0] = joint_rest[1] = (float *)scratch;
+   for (k = 0; k < 2 && c->inverse_bind; k++) {
+      b.model_joints = g->model[k] ? g->model[k]->info.joints : 0;
+      if (k == 1) joint_rest[1] += 3 * (g->model[0] ? g->model[0]->info.joints : 0);
+      if ((r = dn__bind_joint_rest(&b, g->joints[k].map, joint_rest[k])) != DN_OK) return r;
+   }
+
+   for (k = 0; k < 2 && c->inverse_bind; k++)
+      if (g->model[k]) memcpy((float *)g->joints[k].joint_rest, joint_rest[k], 3 * g->model[k]->info.joints * sizeof(float));
+   if (c->alpha && v->alphas) memcpy((float *)v->alpha, c->alpha, v->alphas * sizeof(float));
+   if (c->beta && v->betas) memcpy((float *)v->beta, c->beta, v->betas * sizeof(float));
+   dn__garment_coarse_rest(g, c->coarse_rest, NULL);
+   if (c->body_positions || c->garment_positions) {
+      dn__garment_place(g, c->body_positions, body_stride, c->garment_positions, garment_stride);
+      dn__garment_seat(g, scratch, c->parallel);
+   }
+   dn__garment_renew(g, scratch, scratch_bytes, c->parallel);
+   return DN_OK;
+}
+
+
+/* ===================================================================================== >>blend
+   in       a mesh without a rig; a neuralblendshapes model    out   dn_blend: weights, skeleton, shapes, masks; poses of it
+   touches  the memory and scratch handed in; a finished dn_blend is never written again
+   paper    N 1-5 and table 5; MeshCNN after Hanocka et al. 2019, skeleton-aware layers after Aberman et al. 2020
+   memory   Neighbours of an edge lie anywhere, and the channel pool wants all edges before the next layer starts: so a
+            layer runs over all edges before the next one, between two row buffers. Only the widest rows never exist at
+            once. geo's last layer (512) feeds sums alone: it runs on pieces of edges. geo2's last feeds a convolution,
+            which is linear in its input channels: a slice of 64 of them is made for all edges, multiplied into dec.0's
+            256 sums, forgotten. No halo, nothing computed twice: 256 + 256 + 64 floats an edge, 83 MB at 36,000 edges
+            where whole rows (256, 512 + 24, 256) would take 151 MB.
+   read     dn_meshconv_ref, dn_edges_build, then dn__nbs_run (the network), dn_blend_pose (a frame) */
+enum {
+   DN__EDGE_TILE = 42,          /* edges: every kernel's tile height divides it or nearly */
+   DN__EDGE_PIECE = 24 * DN__EDGE_TILE,
+   DN__EDGE_SLICE = 64,         /* channels, a multiple of DN_PANEL */
+   DN__EDGE_RUN = 16,           /* terms of a sum */
+   DN__BLEND_JOINTS = 1024
+};
+
+/* --- edges. The one-rings give every directed edge a slot; `used` there says which edge it became. */
+static size_t dn__edge_slot(const dn_graph *g, uint32_t from, uint32_t to) /* of to in from's row: rows ascend */
+{
+   size_t low = g->first[from], high = g->first[from + 1];
+   while (high - low > 1) {
+      size_t middle = low + (high - low) / 2;
+      if (g->next[middle] <= to) low = middle;
+      else high = middle;
+   }
+   DN_ASSERT(g->next[low] == to);
+   return low;
+}
+static int dn__edge_flat(const float *positions, const uint32_t *t) /* the cross product, in double, is exactly zero */
+{
+   const float *x = positions + 3 * (size_t)t[0], *y = positions + 3 * (size_t)t[1], *z = positions + 3 * (size_t)t[2];
+   double u[3], w[3];
+   int c;
+   for (c = 0; c < 3; c++) u[c] = (double)y[c] - (double)x[c], w[c] = (double)z[c] - (double)x[c];
+   return u[1] * w[2] == u[2] * w[1] && u[2] * w[0] == u[0] * w[2] && u[0] * w[1] == u[1] * w[0];
+}
+typedef struct dn__edge_work { uint32_t *first, *next, *used; void *graph; } dn__edge_work;
+static dn__edge_work dn__edge_layout(dn__arena *a, size_t nodes, size_t triangles)
+{
+   dn__edge_work w;
+   w.first = (uint32_t *)dn__take(a, dn__add(nodes, 1), sizeof(uint32_t));
+   w.next = (uint32_t *)dn__take(a, dn__mul(triangles, 6), sizeof(uint32_t));
+   w.used = (uint32_t *)dn__take(a, dn__mul(triangles, 6), sizeof(uint32_t));
+   w.graph = dn__take(a, dn_graph_scratch(nodes, triangles), 1);
+   return w;
+}
+DN_API size_t dn_edges_scratch(size_t nodes, size_t triangles)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__edge_layout(&a, nodes, triangles);
+   return dn__gauge(&a);
+}
+DN_API void dn_edges_build(const float *positions, const uint32_t *triangle, size_t triangles, size_t nodes, uint32_t *ends,
+                           uint32_t *ring, uint32_t *first, uint32_t *at, uint32_t *skipped, dn_edges *edges, void *scratch)
+{
+   dn__arena arena = dn__arena_of(scratch, SIZE_MAX);
+   dn__edge_work w = dn__edge_layout(&arena, nodes, triangles);
+   dn_graph g;
+   size_t t, e, i, count = 0, left_out = 0;
+   uint32_t total = 0;
+   dn_graph_build(triangle, triangles, nodes, w.first, w.next, &g, w.graph);
+   memset(w.used, 0xff, g.first[nodes] * sizeof *w.used); /* DN_NO_EDGE */
+   for (t = 0; t < triangles; t++) {
+      const uint32_t *q = triangle + 3 * t;
+      size_t there[3], back[3]; /* slots of each side and of its opposite */
+      uint32_t id[3];
+      int k, skip = dn__edge_flat(positions, q);
+      for (k = 0; k < 3 && !skip; k++) {
+         there[k] = dn__edge_slot(&g, q[k], q[(k + 1) % 3]);
+         back[k] = dn__edge_slot(&g, q[(k + 1) % 3], q[k]);
+         skip = w.used[there[k]] != DN_NO_EDGE;
+      }
+      if (skip) {
+         if (skipped) skipped[left_out] = (uint32_t)t;
+         left_out++;
+         continue;
+      }
+      for (k = 0; k < 3; k++) {
+         uint32_t a = q[k], b = q[(k + 1) % 3];
+         id[k] = w.used[back[k]];
+         if (id[k] == DN_NO_EDGE) {
+            id[k] = (uint32_t)count++;
+            ends[2 * (size_t)id[k]] = a < b ? a : b;
+            ends[2 * (size_t)id[k] + 1] = a < b ? b : a;
+            ring[4 * (size_t)id[k] + 2] = ring[4 * (size_t)id[k] + 3] = DN_NO_EDGE;
+         }
+         w.used[there[k]] = id[k];
+      }
+      for (k = 0; k < 3; k++) { /* going round from this side: the next one, the one after */
+         uint32_t *r = ring + 4 * (size_t)id[k] + (w.used[back[k]] == DN_NO_EDGE ? 0 : 2);
+         r[0] = id[(k + 1) % 3];
+         r[1] = id[(k + 2) % 3];
+      }
+   }
+   memset(first, 0, (nodes + 1) * sizeof *first);
+   for (e = 0; e < 2 * count; e++) first[ends[e]]++;
+   for (i = 0; i < nodes; i++) { /* counts -> row starts */
+      uint32_t n = first[i];
+      w.first[i] = first[i] = total;
+      total += n;
+   }
+   first[nodes] = total;
+   for (e = 0; e < 2 * count; e++) at[w.first[ends[e]]++] = (uint32_t)(e / 2);
+   edges->nodes = nodes;
+   edges->count = count;
+   edges->ends = ends;
+   edges->ring = ring;
+   edges->first = first;
+   edges->at = at;
+   edges->skipped = left_out;
+}
+
+/* --- between vertices and edges */
+typedef struct dn__edge_mean_job {
+   const dn_edges *edges;
+   const float *x;
+   float *y;
+   size_t x_stride, y_stride, width;
+} dn__edge_mean_job;
+static void dn__vertex_to_edge_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__edge_mean_job *j = (const dn__edge_mean_job *)job;
+   size_t e, c;
+   (void)worker;
+   for (e = begin; e < end; e++) {
+      const float *p = j->x + j->edges->ends[2 * e] * j->x_stride, *q = j->x + j->edges->ends[2 * e + 1] * j->x_stride;
+      for (c = 0; c < j->width; c++) j->y[e * j->y_stride + c] = 0.5f * p[c] + 0.5f * q[c];
+   }
+}
+static void dn__edge_to_vertex_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__edge_mean_job *j = (const dn__edge_mean_job *)job;
+   size_t i, c, k;
+   (void)worker;
+   for (i = begin; i < end; i++) {
+      size_t first = j->edges->first[i], last = j->edges->first[i + 1];
+      for (c = 0; c < j->width; c++) {
+         double sum = 0.0; /* a hub may have thousands */
+         for (k = first; k < last; k++) sum += (double)j->x[j->edges->at[k] * j->x_stride + c];
+         j->y[i * j->y_stride + c] = first < last ? (float)(sum / (double)(last - first)) : 0.0f;
+      }
+   }
+}
+static dn__edge_mean_job dn__edge_mean_of(const dn_edges *edges, const float *x, size_t x_stride, size_t width, float *y, size_t y_stride)
+{
+   dn__edge_mean_job j;
+   j.edges = edges;
+   j.x = x;
+   j.y = y;
+   j.x_stride = x_stride;
+   j.y_stride = y_stride;
+   j.width = width;
+   return j;
+}
+DN_API void dn_vertex_to_edge(const dn_edges *edges, const float *v, size_t v_stride, size_t width, float *y, size_t y_stride,
+                              const dn_parallel *parallel)
+{
+   dn__edge_mean_job j = dn__edge_mean_of(edges, v, v_stride, width, y, y_stride);
+   dn__for(parallel, edges->count, DN__GRAIN, dn__vertex_to_edge_range, &j);
+}
+DN_API void dn_edge_to_vertex(const dn_edges *edges, const float *x, size_t x_stride, size_t width, float *y, size_t y_stride,
+                              const dn_parallel *parallel)
+{
+   dn__edge_mean_job j = dn__edge_mean_of(edges, x, x_stride, width, y, y_stride);
+   dn__for(parallel, edges->nodes, DN__GRAIN, dn__edge_to_vertex_range, &j);
+}
+
+/* --- MeshCNN convolution. A row of 256 channels has 1,280 terms, layers follow each other and weights of either sign
+   cancel: added up in float they were off by 3 times the tolerance (spec section 7), in runs of 64 by 0.9 of it. So the
+   kernels multiply runs of DN__EDGE_RUN terms and the runs' sums are added in double. Columns go DN__EDGE_SLICE at a time,
+   which keeps both in the first-level cache.
+   Panels: for each slice of columns, for each run of terms: (columns / 16, terms, 16). */
+static size_t dn__conv_block(size_t out, size_t column) /* columns of the slice that starts there, padded */
+{
+   return dn__round(dn__min(DN__EDGE_SLICE, out - column), DN_PANEL);
+}
+static float *dn__conv_panel(float *panels, size_t terms, size_t out, size_t term, size_t column) /* one weight's place */
+{
+   size_t first = column / DN__EDGE_SLICE * DN__EDGE_SLICE, run = term / DN__EDGE_RUN * DN__EDGE_RUN;
+   size_t length = dn__min(DN__EDGE_RUN, terms - run), c = column - first;
+   return panels + first * terms + run * dn__conv_block(out, first) + (c / DN_PANEL * length + (term - run)) * DN_PANEL + c % DN_PANEL;
+}
+static void dn__conv_carve(dn__arena *a, size_t in, size_t out, float **panels, float **bias, float **zero)
+{
+   size_t columns = dn__round(out, DN_PANEL);
+   *panels = (float *)dn__take(a, dn__mul(columns, dn__mul(in, 5)), sizeof(float));
+   *bias = (float *)dn__take(a, columns, sizeof(float));
+   *zero = (float *)dn__take(a, DN__EDGE_SLICE, sizeof(float)); /* what the kernels take for a bias */
+}
+DN_API size_t dn_meshconv_size(size_t in, size_t out)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   float *panels, *bias, *zero;
+   dn__conv_carve(&a, in, out, &panels, &bias, &zero);
+   return in == 0 || out == 0 || dn__gauge(&a) == SIZE_MAX ? 0 : dn__gauge(&a);
+}
+/* Channels from .. from + in - 1 of a convolution that has `all`. The first part carries bias and shift; the sum of all
+   parts is the layer. File order (out, all, 5) -> terms [x | a + c | b + d | |a - c| | |b - d|], `in` of each. */
+static void dn__meshconv_pack_part(dn_meshconv *layer, size_t all, size_t from, size_t in, size_t out, const float *weight,
+                                   const float *bias, const dn_batchnorm *bn, dn_activation activation, void *memory)
+{
+   dn__arena a = dn__arena_of(memory, SIZE_MAX);
+   float *panels, *folded, *zero;
+   size_t o, c, k;
+   DN_ASSERT(dn_meshconv_size(in, out) != 0 && ((size_t)(uintptr_t)memory & (DN__ALIGN - 1)) == 0);
+   dn__conv_carve(&a, in, out, &panels, &folded, &zero);
+   memset(memory, 0, dn__gauge(&a)); /* columns past `out` stay zero */
+   for (o = 0; o < out; o++) {
+      double scale, shift;
+      dn__fold(bn, o, &scale, &shift);
+      for (c = 0; c < in; c++)
+         for (k = 0; k < 5; k++)
+            *dn__conv_panel(panels, 5 * in, out, k * in + c, o) = dn__narrow(scale * (double)weight[(o * all + from + c) * 5 + k]);
+      if (from == 0) folded[o] = dn__narrow(scale * (bias ? (double)bias[o] : 0.0) + shift);
+   }
+   layer->in = in;
+   layer->out = out;
+   layer->activation = activation;
+   layer->panels = panels;
+   layer->bias = folded;
+   layer->zero = zero;
+   layer->kernel = dn__kernel_best();
+}
+DN_API void dn_meshconv_pack(dn_meshconv *layer, size_t in, size_t out, const float *weight, const float *bias,
+                             const dn_batchnorm *bn, dn_activation activation, void *memory)
+{
+   dn__meshconv_pack_part(layer, in, 0, in, out, weight, bias, bn, activation, memory);
+}
+DN_API void dn_meshconv_ref(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
+                            size_t y_stride)
+{
+   size_t e, o, n, k, in = layer->in;
+   for (e = 0; e < edges->count; e++) {
+      float *to = y + e * y_stride;
+      for (o = 0; o < layer->out; o++) {
+         double sum = (double)layer->bias[o];
+         for (n = 0; n < in; n++) {
+            float r[4], row[5];
+            for (k = 0; k < 4; k++) r[k] = edges->ring[4 * e + k] == DN_NO_EDGE ? 0.0f : x[edges->ring[4 * e + k] * x_stride + n];
+            row[0] = x[e * x_stride + n];
+            row[1] = r[0] + r[2];           /* a + c */
+            row[2] = r[1] + r[3];           /* b + d */
+            row[3] = DN_FABSF(r[0] - r[2]); /* |a - c| */
+            row[4] = DN_FABSF(r[1] - r[3]); /* |b - d| */
+            for (k = 0; k < 5; k++) sum += (double)row[k] * (double)*dn__conv_panel((float *)layer->panels, 5 * in, layer->out, k * in + n, o);
+         }
+         to[o] = dn__activate((float)sum, layer->activation);
+      }
+      if (layer->activation == DN_ACT_SOFTMAX) dn__softmax(to, layer->out);
+   }
+}
+typedef struct dn__conv_job {
+   const dn_meshconv *layer;
+   const dn_edges *edges;
+   const float *x;
+   float *y;                   /* row 0 is edge `first`, column 0 is column `column` */
+   size_t x_stride, y_stride, first, column, columns;
+   unsigned char *tile;        /* (workers, tile_bytes) */
+   size_t tile_bytes;
+   int add;                    /* y += instead of y = */
+   dn_activation activation;
+} dn__conv_job;
+typedef struct dn__conv_work {
+   float *zero;                /* (in) a neighbour that is not there */
+   float *rows;                /* (DN__EDGE_TILE, 5 in) */
+   float *products;            /* (DN__EDGE_TILE, DN__EDGE_SLICE) of one run */
+   double *sums;               /* the same */
+} dn__conv_work;
+static dn__conv_work dn__conv_layout(dn__arena *a, size_t in)
+{
+   dn__conv_work w;
+   w.zero = (float *)dn__take(a, in, sizeof(float));
+   w.rows = (float *)dn__take(a, dn__mul(dn__mul(in, 5), DN__EDGE_TILE), sizeof(float));
+   w.products = (float *)dn__take(a, DN__EDGE_TILE * DN__EDGE_SLICE, sizeof(float));
+   w.sums = (double *)dn__take(a, DN__EDGE_TILE * DN__EDGE_SLICE, sizeof(double));
+   return w;
+}
+static size_t dn__conv_bytes(size_t in) /* of one worker */
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__conv_layout(&a, in);
+   return dn__gauge(&a);
+}
+static void dn__conv_rows(const dn__conv_job *j, const dn__conv_work *w, size_t first, size_t count) /* [x, a+c, b+d, |a-c|, |b-d|] */
+{
+   size_t e, c, in = j->layer->in;
+   float *row = w->rows;
+   for (e = first; e < first + count; e++, row += 5 * in) {
+      const uint32_t *ring = j->edges->ring + 4 * e;
+      const float *p = ring[0] == DN_NO_EDGE ? w->zero : j->x + ring[0] * j->x_stride;
+      const float *q = ring[1] == DN_NO_EDGE ? w->zero : j->x + ring[1] * j->x_stride;
+      const float *r = ring[2] == DN_NO_EDGE ? w->zero : j->x + ring[2] * j->x_stride;
+      const float *s = ring[3] == DN_NO_EDGE ? w->zero : j->x + ring[3] * j->x_stride;
+      memcpy(row, j->x + e * j->x_stride, in * sizeof *row);
+      for (c = 0; c < in; c++) row[in + c] = p[c] + r[c];
+      for (c = 0; c < in; c++) row[2 * in + c] = q[c] + s[c];
+      for (c = 0; c < in; c++) row[3 * in + c] = DN_FABSF(p[c] - r[c]);
+      for (c = 0; c < in; c++) row[4 * in + c] = DN_FABSF(q[c] - s[c]);
+   }
+}
+/* one tile's rows times one slice of columns -> sums (count, columns, padded) */
+static size_t dn__conv_slice(const dn_meshconv *l, const dn__conv_work *w, size_t column, size_t count)
+{
+   size_t terms = 5 * l->in, columns = dn__conv_block(l->out, column), i, c, run;
+   dn_linear part;
+   part.out = columns;
+   part.activation = DN_ACT_NONE;
+   part.panels = l->panels + column * terms;
+   part.bias = l->zero;
+   part.kernel = l->kernel;
+   for (i = 0; i < count; i++)
+      for (c = 0; c < columns; c++) w->sums[i * columns + c] = (double)l->bias[column + c];
+   for (run = 0; run < terms; run += DN__EDGE_RUN) {
+      part.in = dn__min(DN__EDGE_RUN, terms - run);
+      dn__product(&part, w->rows + run, terms, w->products, columns, 0, count);
+      for (i = 0; i < count * columns; i += DN_PANEL)
+         for (c = 0; c < DN_PANEL; c++) w->sums[i + c] += (double)w->products[i + c];
+      part.panels += columns * part.in;
+   }
+   return columns;
+}
+static void dn__conv_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__conv_job *j = (const dn__conv_job *)job;
+   const dn_meshconv *l = j->layer;
+   dn__arena a = dn__arena_of(j->tile + worker * j->tile_bytes, j->tile_bytes);
+   dn__conv_work w = dn__conv_layout(&a, l->in);
+   size_t n, i, c, column, padded, columns;
+   memset(w.zero, 0, l->in * sizeof *w.zero);
+   for (; begin < end; begin += n) {
+      n = dn__min(DN__EDGE_TILE, end - begin);
+      dn__conv_rows(j, &w, j->first + begin, n);
+      for (column = j->column; column < j->column + j->columns; column += columns) {
+         padded = dn__conv_slice(l, &w, column, n);
+         columns = dn__min(DN__EDGE_SLICE, l->out - column);
+         for (i = 0; i < n; i++) {
+            float *to = j->y + (begin + i) * j->y_stride + (column - j->column);
+            const double *sum = w.sums + i * padded;
+            for (c = 0; c < columns; c++) to[c] = dn__activate((float)(j->add ? (double)to[c] + sum[c] : sum[c]), j->activation);
+         }
+      }
+      for (i = 0; j->activation == DN_ACT_SOFTMAX && i < n; i++) dn__softmax(j->y + (begin + i) * j->y_stride, l->out);
+   }
+}
+static dn__conv_job dn__conv_of(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
+                                size_t y_stride, void *scratch)
+{
+   dn__conv_job j;
+   j.layer = layer;
+   j.edges = edges;
+   j.x = x;
+   j.y = y;
+   j.x_stride = x_stride;
+   j.y_stride = y_stride;
+   j.first = j.column = 0;
+   j.columns = layer->out;
+   j.tile = (unsigned char *)scratch;
+   j.tile_bytes = dn__conv_bytes(layer->in);
+   j.add = 0;
+   j.activation = layer->activation;
+   return j;
+}
+DN_API size_t dn_meshconv_scratch(const dn_meshconv *layer, unsigned workers)
+{
+   return dn__mul(dn__conv_bytes(layer->in), workers ? workers : 1);
+}
+DN_API void dn_meshconv_run(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
+                            size_t y_stride, void *scratch, const dn_parallel *parallel)
+{
+   dn__conv_job j = dn__conv_of(layer, edges, x, x_stride, y, y_stride, scratch);
+   dn__for(parallel, edges->count, DN__EDGE_TILE, dn__conv_range, &j);
+}
+
+/* --- channel pool, softmax, skinning-based pooling */
+typedef struct dn__edge_rows_job { float *x; size_t stride, width; } dn__edge_rows_job;
+static void dn__edge_spread_range(void *job, size_t begin, size_t end, unsigned worker) /* row 0 to all others */
+{
+   const dn__edge_rows_job *j = (const dn__edge_rows_job *)job;
+   (void)worker;
+   for (begin = dn__max(begin, 1); begin < end; begin++) memcpy(j->x + begin * j->stride, j->x, j->width * sizeof *j->x);
+}
+DN_API void dn_channel_pool(float *x, size_t x_stride, size_t rows, size_t channels, const dn_parallel *parallel)
+{
+   dn__edge_rows_job j;
+   size_t r, c;
+   j.x = x;
+   j.stride = x_stride;
+   j.width = channels / 5;
+   for (r = 1; r < rows; r++) /* the maxima gather in row 0 */
+      for (c = 0; c < j.width; c++)
+         if (x[r * x_stride + c] > x[c]) x[c] = x[r * x_stride + c];
+   dn__for(parallel, rows, DN__GRAIN, dn__edge_spread_range, &j);
+}
+static void dn__edge_softmax_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__edge_rows_job *j = (const dn__edge_rows_job *)job;
+   (void)worker;
+   for (; begin < end; begin++) dn__softmax(j->x + begin * j->stride, j->width);
+}
+DN_API void dn_edge_softmax(float *x, size_t x_stride, size_t rows, size_t width, const dn_parallel *parallel)
+{
+   dn__edge_rows_job j;
+   j.x = x;
+   j.stride = x_stride;
+   j.width = width;
+   dn__for(parallel, rows, DN__GRAIN, dn__edge_softmax_range, &j);
+}
+/* sum_e A_ej x_e of `count` edges for joints begin to end - 1, added to sums (J,width+1), the last of a row sum_e A_ej.
+   Edges in order whatever the ranges are: pieces one after the other are one long run. */
+typedef struct dn__skin_pool_job { const float *attention, *x; double *sums; size_t joints, x_stride, count, width; } dn__skin_pool_job;
+static void dn__skin_pool_add_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__skin_pool_job *j = (const dn__skin_pool_job *)job;
+   size_t joint, e, c;
+   (void)worker;
+   for (joint = begin; joint < end; joint++) {
+      double *sum = j->sums + joint * (j->width + 1);
+      for (e = 0; e < j->count; e++) {
+         double a = (double)j->attention[e * j->joints + joint];
+         const float *x = j->x + e * j->x_stride;
+         for (c = 0; c < j->width; c++) sum[c] += a * (double)x[c];
+         sum[j->width] += a;
+      }
+   }
+}
+static float dn__skin_pool_divide(double sum, double total) { return (float)(sum / (total < 1e-10 ? 1.0 : total)); } /* N 1 */
+typedef struct dn__skin_pooled_job { dn__skin_pool_job pool; float *y; } dn__skin_pooled_job;
+static void dn__skin_pooled_range(void *job, size_t begin, size_t end, unsigned worker) /* a joint's columns, 31 at a time */
+{
+   enum { COLUMNS = 31 };
+   const dn__skin_pooled_job *j = (const dn__skin_pooled_job *)job;
+   size_t joint, c, k;
+   for (joint = begin; joint < end; joint++)
+      for (c = 0; c < j->pool.width; c += COLUMNS) {
+         double sums[COLUMNS + 1];
+         dn__skin_pool_job part = j->pool;
+         memset(sums, 0, sizeof sums);
+         part.width = dn__min(COLUMNS, j->pool.width - c);
+         part.x += c;
+         part.attention += joint;
+         part.sums = sums;
+         dn__skin_pool_add_range(&part, 0, 1, worker);
+         for (k = 0; k < part.width; k++) j->y[joint * j->pool.width + c + k] = dn__skin_pool_divide(sums[k], sums[part.width]);
+      }
+}
+DN_API void dn_skinning_pool(const float *attention, size_t joints, const float *x, size_t x_stride, size_t edges, size_t width,
+                             float *y, const dn_parallel *parallel)
+{
+   dn__skin_pooled_job j;
+   j.pool.attention = attention;
+   j.pool.x = x;
+   j.pool.sums = NULL;
+   j.pool.joints = joints;
+   j.pool.x_stride = x_stride;
+   j.pool.count = edges;
+   j.pool.width = width;
+   j.y = y;
+   dn__for(parallel, joints, 1, dn__skin_pooled_range, &j);
+}
+
+/* --- skeleton-aware layers. A matrix is read once, so memory sets the pace, not arithmetic: dot products in double,
+   four sums wide, need no panels, and out = 3 is not padded to 16. */
+static int dn__joint_sees(const int32_t *parents, size_t a, size_t b) /* at most 2 steps apart in the tree */
+{
+   int32_t pa = parents[a], pb = parents[b], i = (int32_t)a, j = (int32_t)b;
+   if (i == j || pa == j || pb == i || (pa >= 0 && pa == pb)) return 1;
+   return (pa >= 0 && parents[pa] == j) || (pb >= 0 && parents[pb] == i);
+}
+static void dn__skeleton_carve(dn__arena *a, const int32_t *parents, size_t joints, size_t in, size_t out, uint32_t **first,
+                               uint32_t **sees, float **weight, float **bias)
+{
+   size_t j, k, pairs = 0;
+   for (j = 0; j < joints; j++)
+      for (k = 0; k < joints; k++) pairs += (size_t)dn__joint_sees(parents, j, k);
+   *first = (uint32_t *)dn__take(a, dn__add(joints, 1), sizeof(uint32_t));
+   *sees = (uint32_t *)dn__take(a, pairs, sizeof(uint32_t));
+   *weight = (float *)dn__take(a, dn__mul(dn__mul(in, out), pairs), sizeof(float));
+   *bias = (float *)dn__take(a, dn__mul(joints, out), sizeof(float));
+}
+DN_API size_t dn_skeleton_linear_size(const int32_t *parents, size_t joints, size_t in, size_t out)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   uint32_t *first, *sees;
+   float *weight, *bias;
+   if (joints == 0 || in == 0 || out == 0 || joints > 0x7fffffff) return 0;
+   dn__skeleton_carve(&a, parents, joints, in, out, &first, &sees, &weight, &bias);
+   return dn__gauge(&a) == SIZE_MAX ? 0 : dn__gauge(&a);
+}
+/* The blocks come from a matrix in memory or straight from a file, which then is never held as floats; rows are scaled by
+   a batch norm over J out channels. Returns the element that is not finite, or SIZE_MAX. */
+static size_t dn__skeleton_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in, size_t out,
+                                const float *weight, const dn_tensor *file, const float *bias, const dn_batchnorm *bn,
+                                dn_activation activation, void *memory)
+{
+   dn__arena a = dn__arena_of(memory, SIZE_MAX);
+   uint32_t *first, *sees;
+   float *kept, *folded;
+   size_t j, k, o, c, pairs = 0;
+   dn__skeleton_carve(&a, parents, joints, in, out, &first, &sees, &kept, &folded);
+   for (j = 0; j < joints; j++) {
+      first[j] = (uint32_t)pairs;
+      for (k = 0; k < joints; k++)
+         if (dn__joint_sees(parents, j, k)) sees[pairs++] = (uint32_t)k;
+   }
+   first[joints] = (uint32_t)pairs;
+   layer->joints = joints;
+   layer->in = in;
+   layer->out = out;
+   layer->activation = activation;
+   layer->first = first;
+   layer->sees = sees;
+   layer->weight = kept;
+   layer->bias = folded;
+   for (j = 0; j < joints; j++)
+      for (o = 0; o < out; o++) {
+         double scale, shift;
+         dn__fold(bn, j * out + o, &scale, &shift);
+         for (k = first[j]; k < first[j + 1]; k++, kept += in) {
+            size_t from = ((j * out + o) * joints + sees[k]) * in;
+            if (file) dn_tensor_floats(file, from, in, kept);
+            else memcpy(kept, weight + from, in * sizeof *kept);
+            for (c = 0; c < in; c++) {
+               if (file && !dn__finite(kept[c])) return from + c;
+               if (bn) kept[c] = dn__narrow(scale * (double)kept[c]);
+            }
+         }
+         folded[j * out + o] = dn__narrow(scale * (bias ? (double)bias[j * out + o] : 0.0) + shift);
+      }
+   return SIZE_MAX;
+}
+DN_API void dn_skeleton_linear_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in, size_t out,
+                                    const float *weight, const float *bias, dn_activation activation, void *memory)
+{
+   DN_ASSERT(dn_skeleton_linear_size(parents, joints, in, out) != 0 && activation != DN_ACT_SOFTMAX);
+   dn__skeleton_pack(layer, parents, joints, in, out, weight, NULL, bias, NULL, activation, memory);
+}
+DN_API void dn_skeleton_linear_ref(const int32_t *parents, size_t joints, size_t in, size_t out, const float *weight,
+                                   const float *bias, dn_activation activation, const float *x, float *y)
+{
+   size_t j, o, k, c;
+   for (j = 0; j < joints; j++)
+      for (o = 0; o < out; o++) {
+         const float *w = weight + (j * out + o) * joints * in; /* (J, in) */
+         double sum = bias ? (double)bias[j * out + o] : 0.0;
+         for (k = 0; k < joints; k++)
+            for (c = 0; c < in && dn__joint_sees(parents, j, k); c++) sum += (double)w[k * in + c] * (double)x[k * in + c];
+         y[j * out + o] = dn__activate((float)sum, activation);
+      }
+}
+typedef struct dn__skeleton_job { const dn_skeleton_linear *layer; const float *x; float *y; } dn__skeleton_job;
+static void dn__skeleton_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__skeleton_job *s = (const dn__skeleton_job *)job;
+   const dn_skeleton_linear *l = s->layer;
+   size_t j, o, k, c, in = l->in;
+   (void)worker;
+   for (j = begin; j < end; j++) {
+      const float *w = l->weight + in * l->out * l->first[j];
+      for (o = 0; o < l->out; o++) {
+         double a = (double)l->bias[j * l->out + o], b = 0.0, d = 0.0, e = 0.0;
+         for (k = l->first[j]; k < l->first[j + 1]; k++, w += in) {
+            const float *x = s->x + l->sees[k] * in;
+            for (c = 0; c + 4 <= in; c += 4) {
+               a += (double)w[c] * (double)x[c];
+               b += (double)w[c + 1] * (double)x[c + 1];
+               d += (double)w[c + 2] * (double)x[c + 2];
+               e += (double)w[c + 3] * (double)x[c + 3];
+            }
+            for (; c < in; c++) a += (double)w[c] * (double)x[c];
+         }
+         s->y[j * l->out + o] = dn__activate((float)(a + b + (d + e)), l->activation);
+      }
+   }
+}
+DN_API void dn_skeleton_linear_run(const dn_skeleton_linear *layer, const float *x, float *y, const dn_parallel *parallel)
+{
+   dn__skeleton_job j;
+   j.layer = layer;
+   j.x = x;
+   j.y = y;
+   dn__for(parallel, layer->joints, 1, dn__skeleton_range, &j);
+}
+
+/* --- the model. Chains may be longer or shorter than the paper's; what joins them must fit. */
+typedef enum dn__nbs_branch { DN__ATT, DN__GEO, DN__GEO2, DN__DEC, DN__BRANCHES } dn__nbs_branch;
+static const char *const dn__nbs_branch_names[] = { "att.", "geo.", "geo2.", "dec." };
+struct dn__blend_net {
+   size_t joints, shapes;         /* S, B */
+   size_t count[DN__BRANCHES];    /* layers of each branch, at least 1 */
+   dn_meshconv *conv[DN__BRANCHES]; /* dec.0 lies in slice */
+   size_t slices;                 /* of dec.0's input: geo2's channels, DN__EDGE_SLICE at a time, then the attention */
+   dn_meshconv *slice;            /* without activation: it follows the sum */
+   dn_activation joined;          /* dec.0's */
+   size_t gen_count;
+   dn_skeleton_linear *gen;
+   size_t coff_count, coff_width; /* layers of each joint's MLP; its widest row */
+   dn_linear *coff;               /* (S-1, coff_count) */
+   const int32_t *parents;        /* (S) */
+};
+
+/* how many of STEM0.weight, STEM1.weight ... there are; none is an error that names the first */
+static size_t dn__count_chain(dn__loader *l, const char *stem)
+{
+   size_t n;
+   char name[DN__NAME];
+   for (n = 0; n < DN__MAX_CHAIN; n++) {
+      dn__number(name, sizeof name, stem, n, ".weight");
+      if (!dn_tensors_find(l->file, name)) break;
+   }
+   dn__number(name, sizeof name, stem, n, ".weight");
+   if (n == 0) dn__load_fail(l, DN_MISSING_TENSOR, name, ": not in the file");
+   if (n == DN__MAX_CHAIN && dn_tensors_find(l->file, name)) dn__load_fail(l, DN_UNSUPPORTED, name, ": more than 64 layers of one kind");
+   return n;
+}
+/* name.weight (out,in,1,5) with that `in`, any out that fits; out = 0 accepts any */
+static const dn_tensor *dn__want_conv(dn__loader *l, const char *name, size_t in, size_t out)
+{
+   char full[DN__NAME + 24], text[160];
+   dn__text s = dn__text_of(text, sizeof text);
+   const dn_tensor *t;
+   if (l->failed) return NULL;
+   dn__join(full, sizeof full, name, ".weight");
+   t = dn_tensors_find(l->file, full);
+   if (!t) {
+      dn__load_fail(l, DN_MISSING_TENSOR, full, ": not in the file");
+      return NULL;
+   }
+   if (t->rank != 4 || t->shape[0] < 1 || t->shape[0] > DN_MAX_DIM || (out && t->shape[0] != out) || t->shape[1] != in ||
+       t->shape[2] != 1 || t->shape[3] != 5) {
+      dn__put(&s, ": expected (");
+      if (out) dn__put_size(&s, out);
+      else dn__put(&s, "1..max");
+      dn__put(&s, ",");
+      dn__put_size(&s, in);
+      dn__put(&s, ",1,5), file has ");
+      dn__put_shape(&s, t->shape, t->rank);
+      dn__load_fail(l, DN_BAD_SHAPE, full, text);
+      return NULL;
+   }
+   if (t->format != DN_ST_F32 && t->format != DN_ST_F16 && t->format != DN_ST_BF16) {
+      dn__load_fail(l, DN_BAD_TYPE, full, ": expected F32, F16 or BF16, file has another type");
+      return NULL;
+   }
+   return t;
+}
+static const float *dn__bias_of(dn__loader *l, const char *name, size_t width)
+{
+   char full[DN__NAME + 24];
+   dn__join(full, sizeof full, name, ".bias");
+   return dn__floats(l, dn__want(l, full, 1, width, 0));
+}
+/* one convolution; its first `sliced` input channels are packed DN__EDGE_SLICE at a time, each a layer, the rest as one */
+static size_t dn__load_nbs_conv(dn__loader *l, const char *name, size_t in, size_t out, dn_activation act, dn_meshconv *layer,
+                            size_t sliced)
+{
+   const dn_tensor *t = dn__want_conv(l, name, in, out);
+   const float *weight, *bias;
+   dn_batchnorm bn;
+   int has_bn;
+   size_t from, width;
+   if (!t) return 0;
+   l->temp.used = 0;
+   out = t->shape[0];
+   weight = dn__floats(l, t);
+   bias = dn__bias_of(l, name, out);
+   has_bn = dn__batchnorm(l, name, out, &bn);
+   for (from = 0; from < in && !l->failed; from += width) {
+      void *memory;
+      size_t bytes;
+      width = from < sliced ? dn__min(DN__EDGE_SLICE, sliced - from) : in - from;
+      bytes = dn_meshconv_size(width, out);
+      memory = dn__take(&l->memory, bytes ? bytes : SIZE_MAX, 1);
+      if (l->packing && !l->failed)
+         dn__meshconv_pack_part(layer++, in, from, width, out, weight, bias, has_bn ? &bn : NULL, sliced ? DN_ACT_NONE : act, memory);
+   }
+   return out;
+}
+/* a branch: `in` wide rows in; out = 0 accepts any width of the last layer. Returns that width */
+static size_t dn__load_nbs_branch(dn__loader *l, struct dn__blend_net *net, dn__nbs_branch branch, size_t in, size_t out, size_t sliced)
+{
+   size_t i, n = net->count[branch];
+   for (i = 0; i < n && !l->failed; i++) {
+      char name[DN__NAME];
+      dn_activation act = i + 1 < n ? DN_ACT_LEAKYRELU : DN_ACT_NONE;
+      int parts = sliced && i == 0;
+      dn__number(name, sizeof name, dn__nbs_branch_names[branch], i, "");
+      if (parts) net->joined = act;
+      in = dn__load_nbs_conv(l, name, in, i + 1 < n ? 0 : out, act, !l->packing ? NULL : parts ? net->slice : net->conv[branch] + i,
+                        parts ? sliced : 0);
+   }
+   return in;
+}
+/* gen.N: per joint `in` wide rows in, three numbers out of the last; straight from the file into its blocks */
+static void dn__load_nbs_gen(dn__loader *l, struct dn__blend_net *net, const int32_t *parents, size_t in)
+{
+   size_t i, out, bad, bytes, joints = net->joints;
+   for (i = 0; i < net->gen_count && !l->failed; i++) {
+      char name[DN__NAME], full[DN__NAME + 24];
+      const dn_tensor *t;
+      const float *bias;
+      dn_batchnorm bn;
+      void *memory;
+      int has_bn, last = i + 1 == net->gen_count;
+      dn__number(name, sizeof name, "gen.", i, "");
+      dn__join(full, sizeof full, name, ".weight");
+      t = dn__want(l, full, 2, last ? 3 * joints : 0, dn__mul(joints, in));
+      if (!t) return;
+      if (t->shape[0] % joints) {
+         char text[120];
+         dn__text s = dn__text_of(text, sizeof text);
+         dn__put(&s, ": expected a multiple of the ");
+         dn__put_size(&s, joints);
+         dn__put(&s, " joints in rows, file has ");
+         dn__put_size(&s, t->shape[0]);
+         dn__load_fail(l, DN_BAD_SHAPE, full, text);
+         return;
+      }
+      out = t->shape[0] / joints;
+      l->temp.used = 0;
+      bias = dn__bias_of(l, name, joints * out);
+      has_bn = dn__batchnorm(l, name, joints * out, &bn);
+      bytes = dn_skeleton_linear_size(parents, joints, in, out);
+      memory = dn__take(&l->memory, bytes ? bytes : SIZE_MAX, 1);
+      l->model->info.parameters = dn__add(l->model->info.parameters, t->count);
+      if (l->packing && !l->failed) {
+         bad = dn__skeleton_pack(&net->gen[i], parents, joints, in, out, NULL, t, bias, has_bn ? &bn : NULL,
+                                 last ? DN_ACT_NONE : DN_ACT_LEAKYRELU, memory);
+         if (bad != SIZE_MAX) {
+            char text[80];
+            dn__number(text, sizeof text, ": element ", bad, " is not finite");
+            dn__load_fail(l, DN_BAD_VALUE, full, text);
+         }
+      }
+      in = out;
+   }
+}
+/* coff.J.N: nine numbers in, B out */
+static void dn__load_nbs_coff(dn__loader *l, struct dn__blend_net *net)
+{
+   size_t j, i, in, widest = 9;
+   for (j = 0; j + 1 < net->joints; j++)
+      for (in = 9, i = 0; i < net->coff_count; i++) {
+         char name[DN__NAME], full[DN__NAME + 24];
+         const dn_tensor *t;
+         const float *weight, *bias = NULL;
+         dn_batchnorm bn;
+         int has_bn, last = i + 1 == net->coff_count;
+         void *memory;
+         size_t out;
+         dn__number(name, sizeof name, "coff.", j, ".");
+         dn__number(name + strlen(name), sizeof name - strlen(name), "", i, "");
+         dn__join(full, sizeof full, name, ".weight");
+         t = dn__want(l, full, 2, last ? net->shapes : 0, in);
+         if (!t) return;
+         out = t->shape[0];
+         l->temp.used = 0;
+         weight = dn__floats(l, t);
+         dn__join(full, sizeof full, name, ".bias");
+         if (dn_tensors_find(l->file, full)) bias = dn__floats(l, dn__want(l, full, 1, out, 0));
+         has_bn = dn__batchnorm(l, name, out, &bn);
+         memory = dn__take(&l->memory, dn_linear_size(in, out), 1);
+         if (l->failed) return;
+         if (l->packing)
+            dn_linear_pack(&net->coff[j * net->coff_count + i], in, out, weight, bias, has_bn ? &bn : NULL,
+                           last ? DN_ACT_NONE : DN_ACT_LEAKYRELU, memory);
+         widest = dn__max(widest, out);
+         in = out;
+      }
+   net->coff_width = widest;
+}
+/* "-1,0,0,1": joint 0 is the root, every other joint comes after its parent. Returns S, 0 after an error */
+static size_t dn__load_nbs_parents(dn__loader *l, int32_t parents[DN__BLEND_JOINTS])
+{
+   static const char key[] = "deformnet.parents";
+   const char *s = dn__meta(l, key, NULL), *at = s;
+   size_t n = 0;
+   while (at && !l->failed) {
+      size_t value = 0, digits = 0;
+      int root = at[0] == '-' && at[1] == '1';
+      if (root) at += 2;
+      else
+         for (; *at >= '0' && *at <= '9' && digits < 6; at++, digits++) value = value * 10 + (size_t)(*at - '0');
+      if (n == DN__BLEND_JOINTS) dn__load_fail(l, DN_UNSUPPORTED, key, ": more than 1024 joints");
+      else if ((*at && *at != ',') || (n == 0 ? !root : root || digits == 0 || value >= n)) {
+         char line[160];
+         dn__number(line, sizeof line, ": joint ", n, n ? " does not name a joint before it; expected a list such as -1,0,0,1" : " is not -1, the root; expected a list such as -1,0,0,1");
+         dn__load_fail(l, DN_BAD_VALUE, key, line);
+      } else parents[n++] = root ? -1 : (int32_t)value;
+      at = *at ? at + 1 : NULL;
+   }
+   return l->failed ? 0 : n;
+}
+/* N table 5 */
+static void dn__build_blend(dn__loader *l)
+{
+   struct dn__blend_net stand_in, *net = (struct dn__blend_net *)dn__take(&l->memory, 1, sizeof(struct dn__blend_net));
+   int32_t parents[DN__BLEND_JOINTS], *kept;
+   size_t i, deep, deep2, names, joints = dn__load_nbs_parents(l, parents);
+   if (!l->packing) net = &stand_in;
+   memset(net, 0, sizeof *net);
+   l->model->blend = l->packing ? net : NULL;
+   net->joints = joints;
+   for (i = 0; i < DN__BRANCHES; i++) {
+      net->count[i] = dn__count_chain(l, dn__nbs_branch_names[i]);
+      net->conv[i] = (dn_meshconv *)dn__take(&l->memory, net->count[i], sizeof(dn_meshconv));
+   }
+   net->gen_count = dn__count_chain(l, "gen.");
+   net->gen = (dn_skeleton_linear *)dn__take(&l->memory, net->gen_count, sizeof(dn_skeleton_linear));
+   net->coff_count = joints > 1 ? dn__count_chain(l, "coff.0.") : 0;
+   net->coff = (dn_linear *)dn__take(&l->memory, dn__mul(joints, net->coff_count), sizeof(dn_linear));
+   kept = (int32_t *)dn__take(&l->memory, joints, sizeof *kept);
+   net->parents = kept;
+   if (l->failed) return;
+   if (l->packing) memcpy(kept, parents, joints * sizeof *kept);
+   dn__load_nbs_branch(l, net, DN__ATT, 3, joints, 0);
+   deep = dn__load_nbs_branch(l, net, DN__GEO, 3, 0, 0);
+   dn__load_nbs_gen(l, net, parents, deep);
+   deep2 = dn__load_nbs_branch(l, net, DN__GEO2, 3, 0, 0);
+   net->slices = (deep2 + DN__EDGE_SLICE - 1) / DN__EDGE_SLICE + 1;
+   net->slice = (dn_meshconv *)dn__take(&l->memory, net->slices, sizeof(dn_meshconv));
+   net->shapes = dn__load_nbs_branch(l, net, DN__DEC, deep2 + joints, 0, deep2);
+   if (l->failed) return;
+   if (net->shapes % 3) {
+      char name[DN__NAME], text[120];
+      dn__number(name, sizeof name, "dec.", net->count[DN__DEC] - 1, ".weight");
+      dn__number(text, sizeof text, ": expected a multiple of 3 rows, x y z of each shape, file has ", net->shapes, "");
+      dn__load_fail(l, DN_BAD_SHAPE, name, text);
+      return;
+   }
+   net->shapes /= 3;
+   dn__load_nbs_coff(l, net);
+   names = l->failed ? 0 : dn__load_joint_names(l);
+   if (names && names != joints) {
+      char text[120];
+      dn__text t = dn__text_of(text, sizeof text);
+      dn__put(&t, ": names ");
+      dn__put_size(&t, names);
+      dn__put(&t, " joints, deformnet.parents has ");
+      dn__put_size(&t, joints);
+      dn__load_fail(l, DN_BAD_SHAPE, "deformnet.joints", text);
+   }
+   l->model->info.joints = joints;
+}
+
+/* --- binding */
+struct dn_blend {
+   const dn_model *model;
+   dn_blend_view view;
+   dn_allocator allocator;
+   const dn_allocator *allocator_used; /* NULL: DN_MALLOC, or &allocator */
+   int owned;
+   const float *rest_vertices;         /* (V,3): with a weld distance, vertices of a node rest apart */
+   const uint32_t *joint;              /* (S) 0 1 2 ..: the joints of every row of weights */
+};
+typedef struct dn__nbs_bind {          /* one call of create or init */
+   const struct dn__blend_net *net;
+   const dn_model *model;
+   const dn_blend_desc *desc;
+   dn_error *err;
+   size_t vertices, triangles, nodes, edges; /* the last two bounds, until the mesh has been looked at */
+   double done, all;                   /* multiplications, for the progress */
+   /* the mesh */
+   float *positions;                   /* (V,3) */
+   float *rest;                        /* (N,3) */
+   uint32_t *node_of_vertex, *first_vertex; /* (V) */
+   uint32_t *triangle;                 /* (T,3) nodes */
+   uint32_t *ends, *ring, *first, *at; /* of mesh */
+   dn_edges mesh;
+   void *work;
+   /* the network; G = width of a branch's last layer */
+   float *middle;                      /* (E,3) edge midpoints: what every branch starts from */
+   float *rows[2];                     /* (E, widest even layer), (E, widest odd layer) */
+   float *attention;                   /* (E,S) */
+   float *piece;                       /* (DN__EDGE_PIECE, G of geo) */
+   double *sums;                       /* (S, G + 1) */
+   float *joint_rows[2];               /* (S, widest of gen) */
+   float *slice;                       /* (E, DN__EDGE_SLICE or G of geo2) */
+   float *probed;                      /* (E, G of geo2) */
+   unsigned char *tile;                /* (workers, tile_bytes) */
+   size_t width[2], tile_bytes;
+} dn__nbs_bind;
+
+static const char dn__where_blend[] = "blend";
+static dn_result dn__nbs_open(dn__nbs_bind *b, const dn_model *model, const dn_blend_desc *desc, dn_error *err)
+{
+   const dn_mesh *m = &desc->mesh;
+   DN_ASSERT(model);
+   memset(b, 0, sizeof *b);
+   b->model = model;
+   b->net = model->blend;
+   b->desc = desc;
+   b->err = err;
+   b->vertices = m->vertices;
+   b->triangles = m->triangles;
+   if (!b->net) {
+      char line[160];
+      dn__text t = dn__text_of(line, sizeof line);
+      dn__put(&t, "the model is a ");
+      dn__put(&t, model->info.arch_name);
+      dn__put(&t, ", expected neuralblendshapes; ");
+      dn__put(&t, model->info.arch <= DN_MULTIRESGNET ? "dn_rig_create takes it" : "dn_garment_create takes it");
+      return dn__fail(err, DN_UNSUPPORTED, dn__where_blend, SIZE_MAX, line);
+   }
+   if (m->vertices == 0) return dn__fail(err, DN_BAD_MESH, dn__where_blend, SIZE_MAX, "no vertices");
+   if (m->vertices > DN__MOST || m->triangles > DN__MOST)
+      return dn__fail_sizes(err, DN_BAD_MESH, dn__where_blend, SIZE_MAX, m->vertices > DN__MOST ? "vertices: found " : "triangles: found ",
+                            m->vertices > DN__MOST ? m->vertices : m->triangles, ", expected at most ", DN__MOST, NULL);
+   if (!dn__finite(desc->weld_distance)) return dn__fail(err, DN_BAD_VALUE, dn__where_blend, SIZE_MAX, "weld_distance is not finite");
+   DN_ASSERT(m->positions && (m->triangles == 0 || m->indices));
+   DN_ASSERT(m->triangles == 0 || m->index_type == DN_U16 || m->index_type == DN_U32);
+   b->nodes = b->vertices;
+   b->edges = dn__mul(b->triangles, 3);
+   return DN_OK;
+}
+/* --- layouts: the mesh from its counts, the network's rows and what is kept from nodes and edges */
+static void dn__nbs_mesh_layout(dn__nbs_bind *b, dn__arena *a)
+{
+   size_t V = b->vertices, T = b->triangles, cap = dn__mul(T, 3);
+   b->positions = (float *)dn__take(a, dn__mul(V, 3), sizeof(float));
+   b->rest = (float *)dn__take(a, dn__mul(V, 3), sizeof(float));
+   b->node_of_vertex = (uint32_t *)dn__take(a, V, sizeof(uint32_t));
+   b->first_vertex = (uint32_t *)dn__take(a, V, sizeof(uint32_t));
+   b->triangle = (uint32_t *)dn__take(a, cap, sizeof(uint32_t));
+   b->ends = (uint32_t *)dn__take(a, dn__mul(cap, 2), sizeof(uint32_t));
+   b->ring = (uint32_t *)dn__take(a, dn__mul(cap, 4), sizeof(uint32_t));
+   b->first = (uint32_t *)dn__take(a, dn__add(V, 1), sizeof(uint32_t));
+   b->at = (uint32_t *)dn__take(a, dn__mul(cap, 2), sizeof(uint32_t));
+   b->work = dn__take(a, dn__max(dn_weld_scratch(V), dn_edges_scratch(V, T)), 1);
+}
+static size_t dn__nbs_branch_width(const struct dn__blend_net *net, dn__nbs_branch branch) /* of its last layer */
+{
+   if (branch == DN__DEC) return 3 * net->shapes;
+   return net->conv[branch][net->count[branch] - 1].out;
+}
+static void dn__nbs_net_layout(dn__nbs_bind *b, dn__arena *a)
+{
+   const struct dn__blend_net *net = b->net;
+   size_t E = b->edges, deep = dn__nbs_branch_width(net, DN__GEO), deep2 = dn__nbs_branch_width(net, DN__GEO2), widest = deep, i, k;
+   int branch;
+   b->width[0] = b->width[1] = b->tile_bytes = 0;
+   for (branch = 0; branch < DN__DEC; branch++) /* the last layers go elsewhere */
+      for (i = 0; i < net->count[branch]; i++) {
+         if (i + 1 < net->count[branch]) b->width[i % 2] = dn__max(b->width[i % 2], net->conv[branch][i].out);
+         b->tile_bytes = dn__max(b->tile_bytes, dn__conv_bytes(net->conv[branch][i].in));
+      }
+   for (i = 0; i < net->count[DN__DEC]; i++) { /* dec.0's sums lie across from the rows that geo2's last layer reads */
+      k = (net->count[DN__GEO2] - 1 + i) % 2;
+      b->width[k] = dn__max(b->width[k], i ? net->conv[DN__DEC][i].out : net->slice[0].out);
+      if (i) b->tile_bytes = dn__max(b->tile_bytes, dn__conv_bytes(net->conv[DN__DEC][i].in));
+   }
+   for (i = 0; i < net->slices; i++) b->tile_bytes = dn__max(b->tile_bytes, dn__conv_bytes(net->slice[i].in));
+   for (i = 0; i < net->gen_count; i++) widest = dn__max(widest, net->gen[i].out);
+   b->middle = (float *)dn__take(a, dn__mul(E, 3), sizeof(float));
+   for (k = 0; k < 2; k++) b->rows[k] = (float *)dn__take(a, dn__mul(E, b->width[k]), sizeof(float));
+   b->attention = (float *)dn__take(a, dn__mul(E, net->joints), sizeof(float));
+   b->piece = (float *)dn__take(a, dn__mul(DN__EDGE_PIECE, deep), sizeof(float));
+   b->sums = (double *)dn__take(a, dn__mul(net->joints, dn__add(deep, 1)), sizeof(double));
+   for (k = 0; k < 2; k++) b->joint_rows[k] = (float *)dn__take(a, dn__mul(net->joints, widest), sizeof(float));
+   b->slice = (float *)dn__take(a, dn__mul(E, dn__min(deep2, DN__EDGE_SLICE)), sizeof(float));
+   b->probed = b->desc->probe ? (float *)dn__take(a, dn__mul(E, deep2), sizeof(float)) : NULL;
+   b->tile = (unsigned char *)dn__take(a, b->tile_bytes, dn__workers(b->desc->parallel));
+}
+static void dn__nbs_layout(dn_blend *o, const dn__nbs_bind *b, dn__arena *a)
+{
+   dn_blend_view *v = &o->view;
+   size_t V = b->vertices, N = b->nodes, S = b->net->joints;
+   v->node_of_vertex = (uint32_t *)dn__take(a, V, sizeof(uint32_t));
+   v->first_vertex = (uint32_t *)dn__take(a, N, sizeof(uint32_t));
+   v->rest = (float *)dn__take(a, dn__mul(N, 3), sizeof(float));
+   v->skin_weight = (float *)dn__take(a, dn__mul(N, S), sizeof(float));
+   v->joint_offset = (float *)dn__take(a, dn__mul(S, 3), sizeof(float));
+   v->joint_rest = (float *)dn__take(a, dn__mul(S, 3), sizeof(float));
+   v->shape = (float *)dn__take(a, dn__mul(dn__mul(N, b->net->shapes), 3), sizeof(float));
+   v->mask_first = (uint32_t *)dn__take(a, dn__add(N, 1), sizeof(uint32_t));
+   v->mask_joint = (uint32_t *)dn__take(a, dn__mul(N, S - 1), sizeof(uint32_t));
+   o->rest_vertices = (float *)dn__take(a, dn__mul(V, 3), sizeof(float));
+   o->joint = (uint32_t *)dn__take(a, S, sizeof(uint32_t));
+}
+static double dn__conv_cost(const dn_meshconv *c) { return 5.0 * (double)c->in * (double)c->out; }
+static void dn__nbs_cost(dn__nbs_bind *b) /* multiplications; what the steps add up to */
+{
+   size_t i;
+   int branch;
+   for (branch = 0; branch < DN__BRANCHES; branch++)
+      for (i = branch == DN__DEC; i < b->net->count[branch]; i++) b->all += dn__conv_cost(&b->net->conv[branch][i]);
+   for (i = 0; i < b->net->slices; i++) b->all += dn__conv_cost(&b->net->slice[i]);
+   b->all *= (double)b->edges;
+   if (!(b->all > 0.0)) b->all = 1.0;
+}
+static dn_result dn__nbs_step(dn__nbs_bind *b, const char *stage, double cost)
+{
+   const dn_progress *p = b->desc->progress;
+   double done;
+   b->done += cost;
+   done = b->all > 0.0 ? b->done / b->all : 0.0; /* nothing is known before the edges are counted */
+   if (p && p->step && p->step(p->user, stage, (float)(done < 1.0 ? done : 1.0)))
+      return dn__fail(b->err, DN_CANCELLED, dn__where_blend, SIZE_MAX, "cancelled by the progress callback");
+   return DN_OK;
+}
+
+/* --- step 1: check, copy, weld, edges */
+static dn_result dn__nbs_prepare(dn__nbs_bind *b)
+{
+   const dn_mesh *m = &b->desc->mesh;
+   size_t v, t, c, size = dn__type_size(m->index_type);
+   dn_result r = dn__nbs_step(b, "edges", 0.0);
+   if (r) return r;
+   for (v = 0; v < b->vertices; v++) {
+      float *p = b->positions + 3 * v;
+      dn__position_at(m, v, p);
+      if (!dn__finite(p[0]) || !dn__finite(p[1]) || !dn__finite(p[2]))
+         return dn__fail_sizes(b->err, DN_BAD_MESH, dn__where_blend, v, "vertex ", v, NULL, 0, ": its position is not finite");
+   }
+   b->nodes = dn_weld(b->positions, b->vertices, NULL, NULL, 0, b->desc->weld_distance, b->node_of_vertex, b->first_vertex, NULL, b->work);
+   for (v = 0; v < b->nodes; v++) memcpy(b->rest + 3 * v, b->positions + 3 * (size_t)b->first_vertex[v], 3 * sizeof(float));
+   for (t = 0; t < b->triangles; t++)
+      for (c = 0; c < 3; c++) {
+         size_t at = dn__index_at(m->indices, m->index_type, (3 * t + c) * size);
+         if (at >= b->vertices) {
+            char line[160];
+            dn__text s = dn__text_of(line, sizeof line);
+            dn__put(&s, "triangle ");
+            dn__put_size(&s, t);
+            dn__put(&s, ": vertex index ");
+            dn__put_size(&s, at);
+            dn__put(&s, ", expected below ");
+            dn__put_size(&s, b->vertices);
+            return dn__fail(b->err, DN_BAD_MESH, dn__where_blend, t, line);
+         }
+         b->triangle[3 * t + c] = b->node_of_vertex[at];
+      }
+   dn_edges_build(b->rest, b->triangle, b->triangles, b->nodes, b->ends, b->ring, b->first, b->at, NULL, &b->mesh, b->work);
+   b->edges = b->mesh.count;
+   dn__nbs_cost(b);
+   return DN_OK;
+}
+
+/* --- step 2: the network */
+static const dn_parallel *dn__nbs_parallel(const dn__nbs_bind *b) { return b->desc->probe ? NULL : b->desc->parallel; }
+static void dn__nbs_tap(const dn__nbs_bind *b, const char *name, const float *rows, size_t first, size_t count, size_t width)
+{
+   const dn_probe *p = b->desc->probe;
+   if (p && p->tap) p->tap(p->user, name, rows, first, count, width, width);
+}
+/* edges first .. first + count - 1 of a convolution whose input is packed; y packed too, its row 0 is edge `first` */
+static dn__conv_job dn__nbs_job_of(const dn__nbs_bind *b, const dn_meshconv *layer, const float *x, float *y)
+{
+   dn__conv_job j = dn__conv_of(layer, &b->mesh, x, layer->in, y, layer->out, b->tile);
+   j.tile_bytes = b->tile_bytes;
+   return j;
+}
+static void dn__nbs_conv(const dn__nbs_bind *b, const dn_meshconv *layer, const float *x, float *y, size_t first, size_t count)
+{
+   dn__conv_job j = dn__nbs_job_of(b, layer, x, y);
+   j.first = first;
+   dn__for(dn__nbs_parallel(b), count, DN__EDGE_TILE, dn__conv_range, &j);
+}
+/* all layers of a branch but its last, from the midpoints; gives the last one's input */
+static dn_result dn__nbs_inner(dn__nbs_bind *b, dn__nbs_branch branch, const char *stage, const float **x)
+{
+   size_t i, last = b->net->count[branch] - 1;
+   *x = b->middle;
+   for (i = 0; i < last; i++) {
+      const dn_meshconv *c = &b->net->conv[branch][i];
+      float *y = b->rows[i % 2];
+      char name[DN__NAME];
+      dn_result r;
+      dn__nbs_conv(b, c, *x, y, 0, b->edges);
+      if (branch == DN__ATT) dn_channel_pool(y, c->out, b->edges, c->out, dn__nbs_parallel(b));
+      dn__number(name, sizeof name, dn__nbs_branch_names[branch], i, "");
+      dn__nbs_tap(b, name, y, 0, b->edges, c->out);
+      if ((r = dn__nbs_step(b, stage, dn__conv_cost(c) * (double)b->edges)) != DN_OK) return r;
+      *x = y;
+   }
+   return DN_OK;
+}
+/* skinning block: edge softmax, then weights by edge -> vertex mean */
+static dn_result dn__nbs_weights(dn__nbs_bind *b, float *weight)
+{
+   const dn_meshconv *last = &b->net->conv[DN__ATT][b->net->count[DN__ATT] - 1];
+   size_t i, S = b->net->joints;
+   const float *x;
+   char name[DN__NAME];
+   dn_result r = dn__nbs_inner(b, DN__ATT, "weights", &x);
+   if (r) return r;
+   dn__nbs_conv(b, last, x, b->attention, 0, b->edges);
+   dn__number(name, sizeof name, "att.", b->net->count[DN__ATT] - 1, "");
+   dn__nbs_tap(b, name, b->attention, 0, b->edges, S);
+   dn_edge_softmax(b->attention, S, b->edges, S, dn__nbs_parallel(b));
+   dn__nbs_tap(b, "attention", b->attention, 0, b->edges, S);
+   dn_edge_to_vertex(&b->mesh, b->attention, S, S, weight, S, dn__nbs_parallel(b));
+   for (i = 0; i < b->nodes; i++)
+      if (b->mesh.first[i] == b->mesh.first[i + 1]) weight[i * S] = 1.0f; /* no edge: on joint 0 */
+   return dn__nbs_step(b, "weights", dn__conv_cost(last) * (double)b->edges);
+}
+/* geometry and offset blocks: the rows of geo's last layer go piece by piece into the joints' sums (N 1) */
+static dn_result dn__nbs_skeleton(dn__nbs_bind *b, float *offset, float *rest)
+{
+   const struct dn__blend_net *net = b->net;
+   const dn_meshconv *last = &net->conv[DN__GEO][net->count[DN__GEO] - 1];
+   size_t S = net->joints, G = last->out, from, n, i, k;
+   const float *x;
+   float *y = b->joint_rows[0];
+   char name[DN__NAME];
+   dn_result r = dn__nbs_inner(b, DN__GEO, "skeleton", &x);
+   if (r) return r;
+   dn__number(name, sizeof name, "geo.", net->count[DN__GEO] - 1, "");
+   memset(b->sums, 0, S * (G + 1) * sizeof *b->sums);
+   for (from = 0; from < b->edges; from += n) {
+      dn__skin_pool_job j;
+      n = dn__min(DN__EDGE_PIECE, b->edges - from);
+      dn__nbs_conv(b, last, x, b->piece, from, n);
+      dn__nbs_tap(b, name, b->piece, from, n, G);
+      j.attention = b->attention + from * S;
+      j.x = b->piece;
+      j.sums = b->sums;
+      j.joints = S;
+      j.x_stride = j.width = G;
+      j.count = n;
+      dn__for(dn__nbs_parallel(b), S, 1, dn__skin_pool_add_range, &j);
+      if ((r = dn__nbs_step(b, "skeleton", dn__conv_cost(last) * (double)n)) != DN_OK) return r;
+   }
+   for (i = 0; i < S; i++)
+      for (k = 0; k < G; k++) y[i * G + k] = dn__skin_pool_divide(b->sums[i * (G + 1) + k], b->sums[i * (G + 1) + G]);
+   dn__nbs_tap(b, "skinning_pool", y, 0, S, G);
+   for (i = 0; i < net->gen_count; i++) {
+      float *to = i + 1 < net->gen_count ? b->joint_rows[(i + 1) % 2] : offset;
+      dn_skeleton_linear_run(&net->gen[i], y, to, dn__nbs_parallel(b));
+      dn__number(name, sizeof name, "gen.", i, "");
+      dn__nbs_tap(b, name, to, 0, 1, S * net->gen[i].out);
+      y = to;
+   }
+   for (i = 0; i < S; i++)
+      for (k = 0; k < 3; k++) rest[3 * i + k] = offset[3 * i + k] + (i ? rest[3 * (size_t)net->parents[i] + k] : 0.0f);
+   return DN_OK;
+}
+/* residual branch: a slice of geo2's last channels for all edges, its part of dec.0, the next slice */
+static dn_result dn__nbs_shapes(dn__nbs_bind *b, float *shape)
+{
+   const struct dn__blend_net *net = b->net;
+   size_t n2 = net->count[DN__GEO2], E = b->edges, i, from, width;
+   const dn_meshconv *last = &net->conv[DN__GEO2][n2 - 1];
+   size_t G = last->out, across = (n2 - 1) % 2, e;
+   const float *x;
+   float *sums = b->rows[across];
+   double cost;
+   char name[DN__NAME];
+   dn_result r = dn__nbs_inner(b, DN__GEO2, "shapes", &x);
+   if (r) return r;
+   for (i = 0; i < net->slices; i++) {
+      const dn_meshconv *part = &net->slice[i];
+      const float *rows = b->attention; /* the last slice */
+      dn__conv_job j;
+      from = i * DN__EDGE_SLICE;
+      if (i + 1 < net->slices) {
+         width = part->in;
+         j = dn__nbs_job_of(b, last, x, b->slice);
+         j.column = from;
+         j.columns = j.y_stride = width;
+         dn__for(dn__nbs_parallel(b), E, DN__EDGE_TILE, dn__conv_range, &j);
+         rows = b->slice;
+         if (b->probed)
+            for (e = 0; e < E; e++) memcpy(b->probed + e * G + from, b->slice + e * width, width * sizeof(float));
+      }
+      j = dn__nbs_job_of(b, part, rows, sums);
+      j.add = i > 0;
+      j.activation = i + 1 < net->slices ? DN_ACT_NONE : net->joined;
+      dn__for(dn__nbs_parallel(b), E, DN__EDGE_TILE, dn__conv_range, &j);
+      cost = dn__conv_cost(part) + (i + 1 < net->slices ? 5.0 * (double)last->in * (double)part->in : 0.0);
+      if ((r = dn__nbs_step(b, "shapes", cost * (double)E)) != DN_OK) return r;
+   }
+   dn__number(name, sizeof name, "geo2.", n2 - 1, "");
+   if (b->probed) dn__nbs_tap(b, name, b->probed, 0, E, G);
+   x = sums;
+   for (i = 0; i < net->count[DN__DEC]; i++) {
+      size_t out = i ? net->conv[DN__DEC][i].out : net->slice[0].out;
+      if (i) {
+         float *y = b->rows[(across + i) % 2];
+         dn__nbs_conv(b, &net->conv[DN__DEC][i], x, y, 0, E);
+         if ((r = dn__nbs_step(b, "shapes", dn__conv_cost(&net->conv[DN__DEC][i]) * (double)E)) != DN_OK) return r;
+         x = y;
+      }
+      dn__number(name, sizeof name, "dec.", i, "");
+      dn__nbs_tap(b, name, x, 0, E, out);
+   }
+   dn_edge_to_vertex(&b->mesh, x, 3 * net->shapes, 3 * net->shapes, shape, 3 * net->shapes, dn__nbs_parallel(b));
+   return DN_OK;
+}
+/* joint j acts on a node where its own or its parent's weight is above the bar                                    N 5 */
+static void dn__nbs_masks(const dn__nbs_bind *b, const float *weight, uint32_t *first, uint32_t *joint)
+{
+   size_t i, j, S = b->net->joints, n = 0;
+   for (i = 0; i < b->nodes; i++) {
+      const float *w = weight + i * S;
+      first[i] = (uint32_t)n;
+      for (j = 1; j < S; j++) {
+         double bar = j == 20 || j == 21 ? 0.02 : 0.05; /* the wrists' are lower */
+         if ((double)w[j] > bar || (double)w[b->net->parents[j]] > bar) joint[n++] = (uint32_t)j;
+      }
+   }
+   first[b->nodes] = (uint32_t)n;
+}
+static dn_result dn__nbs_finite(const dn__nbs_bind *b, const float *x, size_t count, size_t width, const char *of, const char *what)
+{
+   size_t i;
+   for (i = 0; i < count * width; i++)
+      if (!dn__finite(x[i])) return dn__fail_sizes(b->err, DN_BAD_VALUE, dn__where_blend, i / width, of, i / width, NULL, 0, what);
+   return DN_OK;
+}
+/* a prepared mesh through the network, into a blend that has been laid out */
+static dn_result dn__nbs_run(dn__nbs_bind *b, dn_blend *o)
+{
+   dn_blend_view *v = &o->view;
+   const struct dn__blend_net *net = b->net;
+   size_t i;
+   dn_result r;
+   o->model = b->model;
+   v->vertices = b->vertices;
+   v->nodes = b->nodes;
+   v->edges = b->edges;
+   v->joints = net->joints;
+   v->shapes = net->shapes;
+   v->seams_welded = b->vertices - b->nodes;
+   v->skipped_triangles = b->mesh.skipped;
+   v->parents = net->parents;
+   v->joint_names = b->model->info.joint_names;
+   for (i = 0; i < b->nodes; i++) v->isolated_nodes += b->mesh.first[i] == b->mesh.first[i + 1];
+   for (i = 0; i < net->joints; i++) ((uint32_t *)o->joint)[i] = (uint32_t)i;
+   memcpy((uint32_t *)v->node_of_vertex, b->node_of_vertex, b->vertices * sizeof(uint32_t));
+   memcpy((uint32_t *)v->first_vertex, b->first_vertex, b->nodes * sizeof(uint32_t));
+   memcpy((float *)v->rest, b->rest, 3 * b->nodes * sizeof(float));
+   memcpy((float *)o->rest_vertices, b->positions, 3 * b->vertices * sizeof(float));
+   dn_vertex_to_edge(&b->mesh, b->rest, 3, 3, b->middle, 3, dn__nbs_parallel(b));
+   if ((r = dn__nbs_weights(b, (float *)v->skin_weight)) != DN_OK) return r;
+   if ((r = dn__nbs_skeleton(b, (float *)v->joint_offset, (float *)v->joint_rest)) != DN_OK) return r;
+   if ((r = dn__nbs_shapes(b, (float *)v->shape)) != DN_OK) return r;
+   dn__nbs_masks(b, v->skin_weight, (uint32_t *)v->mask_first, (uint32_t *)v->mask_joint);
+   if ((r = dn__nbs_finite(b, v->skin_weight, b->nodes, net->joints, "node ", ": its skin weights are not finite")) != DN_OK) return r;
+   if ((r = dn__nbs_finite(b, v->joint_rest, net->joints, 3, "joint ", ": its position is not finite")) != DN_OK) return r;
+   if ((r = dn__nbs_finite(b, v->shape, b->nodes, 3 * net->shapes, "node ", ": its blend shapes are not finite")) != DN_OK) return r;
+   if (b->desc->progress && b->desc->progress->step) b->desc->progress->step(b->desc->progress->user, "done", 1.0f); /* too late to cancel */
+   return DN_OK;
+}
+
+DN_API dn_result dn_blend_size(const dn_model *model, const dn_blend_desc *desc, size_t *bytes, size_t *scratch, dn_error *err)
+{
+   dn__nbs_bind b;
+   dn__arena kept = dn__arena_of(NULL, 0), temp = dn__arena_of(NULL, 0);
+   dn_blend measure;
+   dn_result r;
+   DN_ASSERT(desc && bytes && scratch);
+   if ((r = dn__nbs_open(&b, model, desc, err)) != DN_OK) return r;
+   dn__take(&kept, 1, sizeof(dn_blend));
+   dn__nbs_layout(&measure, &b, &kept);
+   dn__nbs_mesh_layout(&b, &temp);
+   dn__nbs_net_layout(&b, &temp);
+   *bytes = dn__gauge(&kept);
+   *scratch = dn__gauge(&temp);
+   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "sizes overflow") : DN_OK;
+}
+static dn_result dn__nbs_small(dn_error *err, const char *what, size_t given, size_t needed)
+{
+   return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_blend, SIZE_MAX, what, given, " bytes given, needed ", needed, NULL);
+}
+/* a prepared mesh, its network laid out, into memory of at least the right size */
+static dn_result dn__nbs_finish(dn__nbs_bind *b, void *memory, size_t bytes, dn_blend **blend)
+{
+   dn__arena kept = dn__arena_of(memory, bytes);
+   dn_blend *o = (dn_blend *)dn__take(&kept, 1, sizeof(dn_blend)), measure;
+   dn_result r;
+   dn__nbs_layout(&measure, b, &kept);
+   if (kept.used > bytes) return dn__nbs_small(b->err, "memory: ", bytes, kept.used);
+   memset(o, 0, sizeof *o);
+   kept.used = 0;
+   dn__take(&kept, 1, sizeof(dn_blend));
+   dn__nbs_layout(o, b, &kept);
+   o->view.bytes = kept.used;
+   if ((r = dn__nbs_run(b, o)) != DN_OK) return r;
+   *blend = o;
+   return DN_OK;
+}
+DN_API dn_result dn_blend_init(const dn_model *model, const dn_blend_desc *desc, void *memory, size_t bytes, void *scratch,
+                               size_t scratch_bytes, dn_blend **blend, dn_error *err)
+{
+   dn__nbs_bind b;
+   dn__arena temp = dn__arena_of(scratch, scratch_bytes);
+   dn_result r;
+   DN_ASSERT(desc && memory && scratch && blend && ((uintptr_t)memory & 63) == 0 && ((uintptr_t)scratch & 63) == 0);
+   *blend = NULL;
+   if ((r = dn__nbs_open(&b, model, desc, err)) != DN_OK) return r;
+   dn__nbs_mesh_layout(&b, &temp);
+   if (temp.used > scratch_bytes) {
+      dn__nbs_net_layout(&b, &temp);
+      return dn__nbs_small(err, "scratch: ", scratch_bytes, temp.used);
+   }
+   if ((r = dn__nbs_prepare(&b)) != DN_OK) return r;
+   dn__nbs_net_layout(&b, &temp); /* of the edges that there are */
+   if (temp.used > scratch_bytes) return dn__nbs_small(err, "scratch: ", scratch_bytes, temp.used);
+   return dn__nbs_finish(&b, memory, bytes, blend);
+}
+/* Three blocks, so that what depends on the edges is allocated when they have been counted: a closed mesh has half of the
+   bound that dn_blend_size must give. */
+DN_API dn_blend *dn_blend_create(const dn_model *model, const dn_blend_desc *desc, const dn_allocator *allocator, dn_error *err)
+{
+   dn__nbs_bind b;
+   dn_blend *blend = NULL, measure;
+   void *mesh, *net = NULL, *memory = NULL;
+   dn__arena mesh_arena = dn__arena_of(NULL, 0), net_arena = dn__arena_of(NULL, 0), kept = dn__arena_of(NULL, 0);
+   size_t mesh_bytes, net_bytes = 0, bytes = 0;
+   if (dn__nbs_open(&b, model, desc, err) != DN_OK) return NULL;
+   dn__nbs_mesh_layout(&b, &mesh_arena);
+   mesh_bytes = mesh_arena.used;
+   mesh = dn__alloc(allocator, mesh_bytes);
+   if (!mesh) {
+      dn__fail_sizes(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "mesh scratch of ", mesh_bytes, NULL, 0, " bytes");
+      return NULL;
+   }
+   mesh_arena = dn__arena_of(mesh, mesh_bytes);
+   dn__nbs_mesh_layout(&b, &mesh_arena);
+   if (dn__nbs_prepare(&b) == DN_OK) {
+      dn__take(&kept, 1, sizeof(dn_blend));
+      dn__nbs_layout(&measure, &b, &kept);
+      dn__nbs_net_layout(&b, &net_arena);
+      bytes = kept.used;
+      net_bytes = net_arena.used;
+      memory = dn__alloc(allocator, bytes);
+      net = memory ? dn__alloc(allocator, net_bytes) : NULL;
+      net_arena = dn__arena_of(net, net_bytes);
+      if (!net) dn__fail_sizes(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "blend of ", bytes, " bytes and scratch of ", net_bytes, " bytes");
+      else {
+         dn__nbs_net_layout(&b, &net_arena);
+         dn__nbs_finish(&b, memory, bytes, &blend);
+      }
+   }
+   dn__release(allocator, net, net_bytes);
+   if (!blend) dn__release(allocator, memory, bytes);
+   dn__release(allocator, mesh, mesh_bytes);
+   if (blend) {
+      blend->owned = 1;
+      if (allocator) blend->allocator = *allocator, blend->allocator_used = &blend->allocator;
+   }
+   return blend;
+}
+DN_API void dn_blend_free(dn_blend *blend)
+{
+   if (blend && blend->owned) {
+      dn_allocator a = blend->allocator; /* the copy inside goes with the memory */
+      dn__release(blend->allocator_used ? &a : NULL, blend, blend->view.bytes);
+   }
+}
+DN_API void dn_blend_describe(const dn_blend *blend, dn_blend_view *view) { *view = blend->view; }
+
+/* --- a frame */
+typedef struct dn__nbs_frame {
+   float *rotations;    /* (S,9) */
+   float *transforms;   /* (S,12) */
+   float *palette;      /* (S,12) */
+   float *coefficients; /* (S-1,B) */
+   float *mlp[2];       /* (widest row of coff) */
+} dn__nbs_frame;
+static dn__nbs_frame dn__nbs_frame_layout(const dn_blend *blend, dn__arena *a)
+{
+   dn__nbs_frame f;
+   size_t S = blend->view.joints;
+   const struct dn__blend_net *net = blend->model->blend;
+   f.rotations = (float *)dn__take(a, dn__mul(S, 9), sizeof(float));
+   f.transforms = (float *)dn__take(a, dn__mul(S, 12), sizeof(float));
+   f.palette = (float *)dn__take(a, dn__mul(S, 12), sizeof(float));
+   f.coefficients = (float *)dn__take(a, dn__mul(S - 1, net->shapes), sizeof(float));
+   f.mlp[0] = (float *)dn__take(a, dn__max(net->coff_width, 9), sizeof(float));
+   f.mlp[1] = (float *)dn__take(a, dn__max(net->coff_width, 9), sizeof(float));
+   return f;
+}
+DN_API size_t dn_blend_scratch_size(const dn_blend *blend)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn__nbs_frame_layout(blend, &a);
+   return dn__gauge(&a);
+}
+DN_API void *dn_blend_scratch_create(const dn_blend *blend, const dn_allocator *allocator, size_t *bytes, dn_error *err)
+{
+   void *scratch;
+   *bytes = dn_blend_scratch_size(blend);
+   scratch = dn__alloc(allocator, *bytes);
+   if (!scratch) dn__fail_sizes(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "scratch of ", *bytes, NULL, 0, " bytes");
+   return scratch;
+}
+static void dn__nbs_mlps(const dn_blend *blend, const float *rotations, float *coefficients, float *const mlp[2])
+{
+   const struct dn__blend_net *net = blend->model->blend;
+   size_t j, i, k;
+   for (j = 0; j + 1 < net->joints; j++) {
+      const float *x = mlp[0];
+      for (k = 0; k < 9; k++) mlp[0][k] = rotations[9 * (j + 1) + k] - (k % 4 == 0 ? 1.0f : 0.0f); /* R - I */
+      for (i = 0; i < net->coff_count; i++) {
+         const dn_linear *l = &net->coff[j * net->coff_count + i];
+         float *y = i + 1 < net->coff_count ? mlp[(i + 1) % 2] : coefficients + j * net->shapes;
+         dn__product(l, x, l->in, y, l->out, 0, 1);
+         x = y;
+      }
+   }
+}
+DN_API void dn_blend_coefficients(const dn_blend *blend, const float *rotations, float *coefficients, void *scratch)
+{
+   dn__arena a = dn__arena_of(scratch, SIZE_MAX);
+   dn__nbs_frame f = dn__nbs_frame_layout(blend, &a);
+   dn__nbs_mlps(blend, rotations, coefficients, f.mlp);
+}
+/* d = sum_i (sum_j m_j alpha_ij) B_i of node n: few joints act on one node, so their coefficients are added first  N 5 */
+static void dn__nbs_offset(const dn_blend *blend, const float *coefficients, size_t n, float d[3])
+{
+   enum { SHAPES = 16 };
+   const dn_blend_view *v = &blend->view;
+   size_t B = v->shapes, i, k, from, count;
+   d[0] = d[1] = d[2] = 0.0f;
+   for (from = 0; from < B; from += count) {
+      float sum[SHAPES] = { 0.0f };
+      const float *shape = v->shape + 3 * (n * B + from);
+      count = dn__min(SHAPES, B - from);
+      for (k = v->mask_first[n]; k < v->mask_first[n + 1]; k++) {
+         const float *row = coefficients + (size_t)(v->mask_joint[k] - 1) * B + from;
+         for (i = 0; i < count; i++) sum[i] += row[i];
+      }
+      for (i = 0; i < count; i++) {
+         d[0] += sum[i] * shape[3 * i];
+         d[1] += sum[i] * shape[3 * i + 1];
+         d[2] += sum[i] * shape[3 * i + 2];
+      }
+   }
+}
+typedef struct dn__nbs_job {
+   const dn_blend *blend;
+   const float *coefficients, *palette;
+   float translation[3], strength;
+   float *positions, *displacement;
+   size_t position_stride, displacement_stride;
+} dn__nbs_job;
+static void dn__nbs_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__nbs_job *j = (const dn__nbs_job *)job;
+   const dn_blend_view *view = &j->blend->view;
+   size_t v, S = view->joints;
+   int k;
+   (void)worker;
+   for (v = begin; v < end; v++) {
+      size_t n = view->node_of_vertex[v];
+      float d[3];
+      dn__nbs_offset(j->blend, j->coefficients, n, d);
+      for (k = 0; k < 3; k++) d[k] *= j->strength;
+      if (j->displacement) memcpy((unsigned char *)j->displacement + v * j->displacement_stride, d, sizeof d);
+      if (j->positions) {
+         double p[3];
+         for (k = 0; k < 3; k++) d[k] += j->blend->rest_vertices[3 * v + (size_t)k];
+         dn__lbs_point(j->blend->joint, view->skin_weight + n * S, S, j->palette, d, p); /* N 2, 3 */
+         for (k = 0; k < 3; k++) d[k] = (float)(p[k] + (double)j->translation[k]);
+         memcpy((unsigned char *)j->positions + v * j->position_stride, d, sizeof d);
+      }
+   }
+}
+DN_API void dn_blend_displace(const dn_blend *blend, const float *coefficients, float *displacement, size_t stride,
+                              const dn_parallel *parallel)
+{
+   dn__nbs_job j;
+   memset(&j, 0, sizeof j);
+   j.blend = blend;
+   j.coefficients = coefficients;
+   j.strength = 1.0f;
+   j.displacement = displacement;
+   j.displacement_stride = dn__stride(stride, 12);
+   dn__for(parallel, blend->view.vertices, DN__GRAIN, dn__nbs_range, &j);
+}
+DN_API size_t dn_blend_morph(const dn_blend *blend, size_t joint, size_t shape, float *offsets, size_t stride)
+{
+   const dn_blend_view *view = &blend->view;
+   size_t v, k, moved = 0;
+   DN_ASSERT(joint > 0 && joint < view->joints && shape < view->shapes);
+   for (v = 0; v < view->vertices; v++) {
+      size_t n = view->node_of_vertex[v];
+      float d[3] = { 0.0f, 0.0f, 0.0f };
+      for (k = view->mask_first[n]; k < view->mask_first[n + 1]; k++)
+         if (view->mask_joint[k] == joint) memcpy(d, view->shape + 3 * (n * view->shapes + shape), sizeof d);
+      moved += d[0] != 0.0f || d[1] != 0.0f || d[2] != 0.0f;
+      if (offsets) memcpy((unsigned char *)offsets + v * dn__stride(stride, 12), d, sizeof d);
+   }
+   return moved;
+}
+/* joint s's local rotation: 0 when what was given is not finite, and the identity stands in */
+static int dn__nbs_rotation(const dn_blend_input *in, size_t s, float rotation[9])
+{
+   int k, ok = 1;
+   memset(rotation, 0, 9 * sizeof *rotation);
+   rotation[0] = rotation[4] = rotation[8] = 1.0f;
+   if (in->rotations) {
+      for (k = 0; k < 9; k++) ok &= dn__finite(in->rotations[9 * s + (size_t)k]);
+      if (ok) memcpy(rotation, in->rotations + 9 * s, 9 * sizeof *rotation);
+   } else if (in->axis_angle) {
+      for (k = 0; k < 3; k++) ok &= dn__finite(in->axis_angle[3 * s + (size_t)k]);
+      if (ok) dn_rodrigues(in->axis_angle + 3 * s, rotation);
+   }
+   return ok;
+}
+DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, const dn_blend_output *out, void *scratch,
+                               size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
+{
+   const dn_blend_view *v = &blend->view;
+   dn__arena a = dn__arena_of(scratch, scratch_bytes);
+   dn__nbs_frame f = dn__nbs_frame_layout(blend, &a);
+   dn__nbs_job j;
+   size_t s, i, r, S = v->joints, count = (S - 1) * v->shapes, bad = 0;
+   DN_ASSERT(in && out && scratch && ((uintptr_t)scratch & 63) == 0);
+   if (a.used > scratch_bytes) return dn__nbs_small(err, "scratch: ", scratch_bytes, a.used);
+   for (s = 0; s < S; s++) bad += (size_t)!dn__nbs_rotation(in, s, f.rotations + 9 * s);
+   if (in->coefficients) memcpy(f.coefficients, in->coefficients, count * sizeof(float));
+   else dn__nbs_mlps(blend, f.rotations, f.coefficients, f.mlp);
+   for (i = 0; i < count; i++)
+      if (!dn__finite(f.coefficients[i])) f.coefficients[i] = 0.0f, bad++;
+   dn_forward_kinematics(v->parents, v->joint_offset, f.rotations, S, f.transforms);
+   for (s = 0; s < S; s++) /* P_s = T_s times the inverse of a pure translation */
+      for (r = 0; r < 3; r++) {
+         const float *t = f.transforms + 12 * s + 4 * r, *g = v->joint_rest + 3 * s;
+         float *p = f.palette + 12 * s + 4 * r;
+         memcpy(p, t, 3 * sizeof *p);
+         p[3] = (float)((double)t[3] - ((double)t[0] * (double)g[0] + (double)t[1] * (double)g[1] + (double)t[2] * (double)g[2]));
+      }
+   memset(&j, 0, sizeof j);
+   j.blend = blend;
+   j.coefficients = f.coefficients;
+   j.palette = f.palette;
+   j.strength = !(in->strength > 0.0f) ? 0.0f : in->strength > 1.0f ? 1.0f : in->strength;
+   for (i = 0; in->translation && i < 3; i++) {
+      j.translation[i] = dn__finite(in->translation[i]) ? in->translation[i] : 0.0f;
+      bad += (size_t)!dn__finite(in->translation[i]);
+   }
+   j.positions = out->positions;
+   j.position_stride = dn__stride(out->position_stride, 12);
+   j.displacement = out->displacement;
+   j.displacement_stride = dn__stride(out->displacement_stride, 12);
+   if (out->positions || out->displacement) dn__for(parallel, v->vertices, DN__GRAIN, dn__nbs_range, &j);
+   if (out->coefficients) memcpy(out->coefficients, f.coefficients, count * sizeof(float));
+   for (s = 0; out->palette && s < S; s++)
+      for (r = 0; r < 12; r++) out->palette[12 * s + r] = f.palette[12 * s + r] + (r % 4 == 3 ? j.translation[r / 4] : 0.0f);
+   return bad ? dn__fail_sizes(err, DN_NOT_FINITE, dn__where_blend, SIZE_MAX, "", bad, NULL, 0, " rotations, coefficients or sides of the translation are not finite") : DN_OK;
+}
 /* the private macros go: what stays defined is documented in >>config, >>types and >>layers */
 #undef DN__AHEAD
 #undef DN__ALIGN
@@ -6608,6 +11976,7 @@ static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r)
 #undef DN__HAS_F4
 #undef DN__HEADER_CAP
 #undef DN__INLINE
+#undef DN__LBS_MANY
 #undef DN__LN2_HIGH
 #undef DN__LN2_LOW
 #undef DN__LOG2E
@@ -6626,6 +11995,7 @@ static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r)
 #undef DN__TANH_SMALL
 #undef DN__TARGET_AVX2
 #undef DN__TARGET_AVX512
+#undef DN__TICK
 #undef DN__TOUCH
 #undef DN__WEIGHTS
 

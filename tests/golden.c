@@ -239,12 +239,6 @@ static void line(const run *r, const char *verdict, const char *what, const char
    va_end(args);
    printf("\n");
 }
-static void skip(const run *r, const dn_tensor *t, const char *why)
-{
-   if (!t) return;
-   mark(r, t);
-   line(r, "SKIP", short_name(r, t), "%s", why);
-}
 static int row_agrees(const float *want, const float *got, size_t width)
 {
    size_t j;
@@ -820,11 +814,10 @@ static void mesh_free(mesh *m)
    free(m->node_of_vertex);
    free(m->first_vertex);
 }
+#include "golden_kit.h"
 static void run_mesh(const run *r)
 {
-   static const char *const later[] = {"out.smoothed", "out.area", "out.even_selection", "out.even_c", "out.association"};
    mesh m;
-   size_t i;
    if (mesh_of(r, 1, &m)) {
       float *normals = (float *)need(m.nodes * 3, sizeof *normals);
       graph g = graph_of_triangles(m.triangle, m.triangles, m.nodes);
@@ -833,7 +826,7 @@ static void run_mesh(const run *r)
       compare_edges(r, in(r, "out.edges"), &g.g);
       dn_normals(m.rest, m.nodes, m.triangle, m.triangles, normals);
       compare(r, in(r, "out.normals"), "", normals, m.nodes, 3, 3, NULL);
-      for (i = 0; i < COUNT(later); i++) skip(r, in(r, later[i]), "not in this version");
+      run_mesh_kit(r, &m, &g.g);
       free(normals);
       graph_free(&g);
    }
@@ -1272,7 +1265,7 @@ static void widen(const dn_graph *g, const uint32_t *cluster, size_t clusters, u
 /* --- networks ---------------------------------------------------------------------------------------------- */
 typedef struct tapped { struct tapped *next; char *name; float *rows; size_t count, width; } tapped;
 typedef struct pooled { struct pooled *next; char *name; uint32_t *members; float *score; size_t count; } pooled;
-typedef struct taps { const run *r; tapped *rows; pooled *pools; const char *also; } taps;
+typedef struct taps { const run *r; tapped *rows; pooled *pools; const char *const *also; /* names, the last one NULL */ } taps;
 
 static tapped *tapped_rows(const taps *t, const char *name)
 {
@@ -1287,7 +1280,9 @@ static void tap(void *user, const char *name, const float *rows, size_t first, s
    tapped *k = tapped_rows(t, name);
    char *full = joined("mid.", name, "", "");
    size_t i;
-   if (in(t->r, full) || (t->also && strcmp(t->also, name) == 0)) {
+   int keep = in(t->r, full) != NULL;
+   for (i = 0; t->also && t->also[i]; i++) keep |= strcmp(t->also[i], name) == 0;
+   if (keep) {
       if (!k) {
          k = (tapped *)need(1, sizeof *k);
          k->name = joined(name, "", "", "");
@@ -1334,7 +1329,7 @@ static void taps_free(taps *t)
       free(k);
    }
 }
-static dn_probe probe_of(taps *t, const run *r, const char *also)
+static dn_probe probe_of(taps *t, const run *r, const char *const *also)
 {
    dn_probe p;
    memset(t, 0, sizeof *t);
@@ -1342,32 +1337,43 @@ static dn_probe probe_of(taps *t, const run *r, const char *also)
    p.tap = tap, p.pool = tap_pool, p.user = t;
    return p;
 }
-/* what feeds multiresgnet's pool */
-static const char *const pool_input = "pre.1";
+/* A pool and what comes after it: the tensors' prefix, what feeds the pool, two blocks on the coarse graph, one on all nodes */
+typedef struct pooling { const char *prefix, *input, *coarse[2], *last; } pooling;
+static const pooling multiresgnet_pool = {"", "pre.1", {"global.0", "global.1"}, "global.2"};
+static const char *const multiresgnet_also[] = {"pre.1", NULL};
 
-/* nodes whose output a tie may change, in the pose of `palette`; returns how many clusters are loose */
-static size_t reach_of_ties(const run *r, net *n, const float *palette, unsigned char *reach)
+/* adds the nodes whose output a tie in this pool may change; returns how many clusters are loose */
+static size_t reach_of_pool(const run *r, const taps *t, const dn_graph *g, const pooling *at, unsigned char *reach)
 {
-   taps t;
-   dn_probe probe = probe_of(&t, r, pool_input);
-   const tapped *x;
+   const tapped *x = tapped_rows(t, at->input);
+   char *prefix = joined(at->prefix, "pool.", "", "");
    size_t i, loose = 0;
    pool p;
    ties k;
-   memset(reach, 0, n->view.nodes);
-   if (!net_run(r, n, palette, &probe)) return 0;
-   x = tapped_rows(&t, pool_input);
-   if (x && pool_of(r, "pool.", &p)) {
-      if (p.p.in == x->width && x->count == n->view.nodes) {
-         find_ties(&p.p, &n->view.graph, x->rows, &k);
-         for (i = 0; i < x->count; i++) loose += reach[i] = k.loose[i];
-         widen(&n->view.graph, k.c.cluster, k.c.count, reach); /* global.0 */
-         widen(&n->view.graph, k.c.cluster, k.c.count, reach); /* global.1 */
-         widen(&n->view.graph, NULL, 0, reach);                /* global.2 */
+   if (x && pool_of(r, prefix, &p)) {
+      if (p.p.in == x->width && x->count == g->nodes) {
+         unsigned char *mine = (unsigned char *)need(g->nodes, 1);
+         find_ties(&p.p, g, x->rows, &k);
+         for (i = 0; i < x->count; i++) loose += mine[i] = k.loose[i];
+         widen(g, k.c.cluster, k.c.count, mine); /* first block on the coarse graph */
+         widen(g, k.c.cluster, k.c.count, mine); /* second */
+         widen(g, NULL, 0, mine);                /* and the one on all nodes */
+         for (i = 0; i < g->nodes; i++) reach[i] |= mine[i];
          ties_free(&k);
+         free(mine);
       }
       free(p.raw);
    }
+   free(prefix);
+   return loose;
+}
+static size_t reach_of_ties(const run *r, net *n, const float *palette, unsigned char *reach)
+{
+   taps t;
+   dn_probe probe = probe_of(&t, r, multiresgnet_also);
+   size_t loose = 0;
+   memset(reach, 0, n->view.nodes);
+   if (net_run(r, n, palette, &probe)) loose = reach_of_pool(r, &t, &n->view.graph, &multiresgnet_pool, reach);
    taps_free(&t);
    return loose;
 }
@@ -1379,152 +1385,226 @@ static int agrees(const dn_tensor *t, const float *got)
    return ok;
 }
 
+/* what a differing contraction of the file's means for the blocks behind it */
+typedef struct traced {
+   unsigned char *reach[4]; /* (N) nodes that feel it: in the pool, after the blocks coarse[0], coarse[1], last; NULL: none differs */
+   uint32_t *row;           /* of the file's coarse node: ours, or UINT32_MAX */
+   int32_t *members;        /* the file's */
+   size_t coarse;
+} traced;
+static void traced_free(traced *k)
+{
+   size_t i;
+   for (i = 0; i < 4; i++) free(k->reach[i]);
+   free(k->row);
+   free(k->members);
+}
+/* members and scores of one contraction, ours in q */
+static void compare_pool(const run *r, const taps *t, const pooled *q, const dn_graph *g, const pooling *at, traced *out)
+{
+   size_t nodes = g->nodes, i, k, differ = 0, coarse;
+   char *name = joined("mid.", q->name, ".members", "");
+   const dn_tensor *want = in(r, name), *score;
+   const tapped *x = tapped_rows(t, at->input);
+   int32_t *m;
+   pool p;
+   int known;
+   free(name);
+   name = joined("mid.", q->name, ".score", "");
+   score = in(r, name);
+   free(name);
+   if (!want) {
+      compare(r, score, "", q->score, q->count, 1, 1, NULL);
+      return;
+   }
+   m = ints(want);
+   coarse = want->count / 2;
+   if (coarse != q->count) differ = 1;
+   else
+      for (i = 0; i < 2 * coarse; i++) differ += m[i] != (int32_t)q->members[i];
+   name = joined(at->prefix, "pool.", "", "");
+   known = differ && x && x->count == nodes && pool_of(r, name, &p);
+   free(name);
+   if (!known) {
+      compare_ints(r, want, q->members, 2 * q->count);
+      compare(r, score, "", q->score, q->count, 1, 1, NULL);
+      free(m);
+      return;
+   }
+   {
+      ties k2;
+      uint32_t *theirs = (uint32_t *)need(nodes, 4); /* the other member of each node's pair in the file */
+      size_t illegal = 0, valid = 1, unlike = 0;
+      find_ties(&p.p, g, x->rows, &k2);
+      for (i = 0; i < nodes; i++) theirs[i] = UINT32_MAX;
+      for (i = 0; i < coarse && valid; i++) {
+         if (m[2 * i] < 0 || m[2 * i + 1] < 0 || (size_t)m[2 * i] >= nodes || (size_t)m[2 * i + 1] >= nodes ||
+             theirs[m[2 * i]] != UINT32_MAX || theirs[m[2 * i + 1]] != UINT32_MAX)
+            valid = 0;
+         else theirs[m[2 * i]] = (uint32_t)m[2 * i + 1], theirs[m[2 * i + 1]] = (uint32_t)m[2 * i];
+      }
+      if (valid) { /* every edge left out must be blocked by one of the file's pairs that scores as much or ties */
+         float *chosen = (float *)need(nodes, sizeof *chosen);
+         for (i = 0; i < nodes; i++) chosen[i] = -1;
+         for (i = 0; i < coarse; i++) {
+            uint32_t a = (uint32_t)m[2 * i], b = (uint32_t)m[2 * i + 1];
+            float s = -1;
+            for (k = g->first[a]; k < g->first[a + 1]; k++)
+               if (g->next[k] == b) s = k2.scores[k];
+            if (a != b && s < 0) valid = 0;
+            chosen[a] = chosen[b] = s;
+         }
+         for (i = 0; i < nodes; i++)
+            for (k = g->first[i]; k < g->first[i + 1]; k++) {
+               float best = chosen[i] > chosen[g->next[k]] ? chosen[i] : chosen[g->next[k]];
+               if (above(k2.scores[k], best)) illegal++;
+            }
+         free(chosen);
+      }
+      mark(r, want);
+      if (valid && !illegal) {
+         out->row = (uint32_t *)need(coarse, sizeof *out->row);
+         for (i = 0; i < 4; i++) out->reach[i] = (unsigned char *)need(nodes, 1);
+         for (i = 0; i < coarse; i++) {
+            uint32_t a = (uint32_t)m[2 * i], b = (uint32_t)m[2 * i + 1], c = k2.c.cluster[a], d = k2.c.cluster[b];
+            const uint32_t *own = k2.c.members + 2 * (size_t)c;
+            out->row[i] = UINT32_MAX;
+            if (c == d && own[0] == a && own[1] == b) out->row[i] = c;
+            else {
+               out->reach[0][a] = out->reach[0][b] = 1, unlike++;
+               out->reach[0][own[0]] = out->reach[0][own[1]] = 1;
+               out->reach[0][k2.c.members[2 * d]] = out->reach[0][k2.c.members[2 * d + 1]] = 1;
+            }
+         }
+         for (i = 1; i < 3; i++) {
+            memcpy(out->reach[i], out->reach[i - 1], nodes);
+            widen(g, k2.c.cluster, k2.c.count, out->reach[i]);
+            for (k = 0; k < nodes; k++) /* whole clusters of the file's, too */
+               if (out->reach[i][k] && theirs[k] != UINT32_MAX) out->reach[i][theirs[k]] = 1;
+         }
+         memcpy(out->reach[3], out->reach[2], nodes);
+         widen(g, NULL, 0, out->reach[3]);
+         out->members = m, out->coarse = coarse;
+         excused_total += unlike;
+         line(r, "PASS", short_name(r, want), "%zu of %zu pairs differ, every one by a tie within %.0e of the score", unlike,
+              coarse, TIE);
+         if (score) {
+            float *s = (float *)need(coarse, sizeof *s);
+            unsigned char *excuse = (unsigned char *)need(coarse, 1);
+            for (i = 0; i < coarse; i++)
+               if (out->row[i] == UINT32_MAX) excuse[i] = 1;
+               else s[i] = q->score[out->row[i]];
+            compare(r, score, "", s, coarse, 1, 1, excuse);
+            free(s);
+            free(excuse);
+         }
+      } else {
+         line(r, "FAIL", short_name(r, want), valid ? "%zu edges outscore the file's pairs that block them"
+                                                    : "the file's pairs are not a matching of this graph (%zu)", illegal);
+         compare(r, score, "", q->score, q->count, 1, 1, NULL);
+         free(m);
+      }
+      free(theirs);
+      free(p.raw);
+      ties_free(&k2);
+   }
+}
+/* where a block stands to a pool: 0 the pool, 1 and 2 the blocks on the coarse graph (2 the unpooled rows, too), 3 what
+   follows on all nodes, 4 not behind it */
+static int level_of(const pooling *at, const char *name, int *on_nodes)
+{
+   size_t n = strlen(at->prefix);
+   *on_nodes = 0;
+   if (strncmp(name, at->prefix, n) != 0) return 4;
+   name += n;
+   if (strcmp(name, "pool") == 0) return 0;
+   if (strcmp(name, at->coarse[0]) == 0) return 1;
+   if (strcmp(name, at->coarse[1]) == 0) return 2;
+   *on_nodes = 1;
+   if (strcmp(name, "unpool") == 0) return 2;
+   return strcmp(name, at->last) == 0 || strncmp(name, "post.", 5) == 0 || strcmp(name, "out") == 0 ? 3 : 4;
+}
+/* What a block gives for the file's own input to it: (count,width) rows to free, or NULL when the file does not tell.
+   Where a chain of blocks magnifies its rounding (unpooling divides by a score, the normals of a thin triangle by its
+   height), a block that is too far off at the end of the chain is judged by itself; the line says so. Blocks that are
+   joined up wrongly are off everywhere and by far: that stays a failure. */
+typedef struct alone { float *(*rows)(const struct alone *a, const char *name, size_t count, size_t width); const void *user; } alone;
+static int compare_or_alone(const run *r, const dn_tensor *want, const char *name, const tapped *x, const unsigned char *excused,
+                            const alone *a)
+{
+   float *w = want->count == x->count * x->width ? floats(want) : NULL, *rows = NULL;
+   double share = 0, by_itself = 0;
+   size_t i, bad = 0;
+   for (i = 0; w && i < x->count; i++) bad += !(excused && excused[i]) && !row_agrees(w + i * x->width, x->rows + i * x->width, x->width);
+   if (bad && a) rows = a->rows(a, name, x->count, x->width);
+   for (i = 0; rows && i < want->count; i++) {
+      double v = (double)w[i], allowed = absolute + relative * (v < 0 ? -v : v), e = v - (double)x->rows[i], f = v - (double)rows[i];
+      e = (e < 0 ? -e : e) / allowed, f = (f < 0 ? -f : f) / allowed;
+      if (!(e <= share)) share = e;
+      if (!(f <= by_itself)) by_itself = f;
+   }
+   free(w);
+   if (!rows || !(by_itself <= 1) || (share > 30 && bad * 20 > x->count)) {
+      free(rows);
+      return compare(r, want, "", x->rows, x->count, x->width, x->width, excused);
+   }
+   free(rows);
+   mark(r, want);
+   if (!(by_itself <= case_share)) case_share = by_itself;
+   line(r, "PASS", short_name(r, want), "%.3f of the tolerance from the file's own input; %.3f after all blocks before it (%zu rows)",
+        by_itself, share, bad);
+   return 1;
+}
+/* every block that was tapped, against the file's intermediate tensors. felt (N) or NULL: nodes where another cause
+   excuses a difference in everything behind it; a or NULL: see above */
+static void compare_blocks(const run *r, const taps *t, const dn_graph *g, const pooling *pools, size_t count,
+                           const unsigned char *felt, const alone *a)
+{
+   traced found[2];
+   const pooled *q;
+   size_t i, k, b;
+   memset(found, 0, sizeof found);
+   for (q = t->pools; q; q = q->next)
+      for (b = 0; b < count && b < COUNT(found); b++) {
+         char *name = joined(pools[b].prefix, "pool", "", "");
+         if (strcmp(q->name, name) == 0) compare_pool(r, t, q, g, &pools[b], &found[b]);
+         free(name);
+      }
+   for (i = 0; i < dn_tensors_count(r->cases->t); i++) { /* in the file's order */
+      const dn_tensor *want = dn_tensors_at(r->cases->t, i);
+      const tapped *x = NULL;
+      const traced *at = NULL;
+      char *prefix = joined("golden.", r->name, *r->name ? "." : "", "mid.");
+      const char *name = want->name + strlen(prefix);
+      int mine = strncmp(want->name, prefix, strlen(prefix)) == 0, level = 4, on_nodes = 0;
+      free(prefix);
+      if (!mine || r->done[i] || (x = tapped_rows(t, name)) == NULL) continue;
+      for (b = 0; b < count && b < COUNT(found) && level == 4; b++)
+         if (found[b].row) level = level_of(&pools[b], name, &on_nodes), at = &found[b];
+      if (level == 4) compare_or_alone(r, want, name, x, x->count == g->nodes ? felt : NULL, a);
+      else if (on_nodes) compare(r, want, "", x->rows, x->count, x->width, x->width, at->reach[level]);
+      else { /* coarse rows, in the file's order of clusters */
+         float *rows = (float *)need(at->coarse * x->width, sizeof *rows);
+         unsigned char *out = (unsigned char *)need(at->coarse, 1);
+         for (k = 0; k < at->coarse; k++)
+            if (at->row[k] == UINT32_MAX || at->reach[level][at->members[2 * k]]) out[k] = 1;
+            else memcpy(rows + k * x->width, x->rows + at->row[k] * x->width, x->width * sizeof *rows);
+         compare(r, want, "", rows, at->coarse, x->width, x->width, out);
+         free(rows);
+         free(out);
+      }
+   }
+   for (b = 0; b < COUNT(found); b++) traced_free(&found[b]);
+}
 /* the intermediate tensors of the first pose */
 static void compare_mid(const run *r, net *n)
 {
    taps t;
-   dn_probe probe = probe_of(&t, r, pool_input);
-   const dn_graph *g = &n->view.graph;
-   size_t nodes = n->view.nodes, i, k;
-   unsigned char *reach[4] = {NULL, NULL, NULL, NULL}; /* where a differing pair is felt: pool, global.0, .1, .2 */
-   uint32_t *row = NULL;                               /* of the file's coarse node: ours, or UINT32_MAX */
-   size_t coarse = 0;
-   const pooled *q;
-   const tapped *x;
-   if (!net_run(r, n, n->palettes, &probe)) return;
-   compare(r, in(r, "mid.features"), "", n->rows, nodes, n->info.row_width, n->info.row_width, NULL);
-
-   for (q = t.pools; q; q = q->next) {
-      char *name = joined("mid.", q->name, ".members", "");
-      const dn_tensor *want = in(r, name), *score;
-      int32_t *m;
-      size_t differ = 0, mine_total = q->count;
-      pool p;
-      free(name);
-      name = joined("mid.", q->name, ".score", "");
-      score = in(r, name);
-      free(name);
-      if (!want) {
-         compare(r, score, "", q->score, q->count, 1, 1, NULL);
-         continue;
-      }
-      m = ints(want);
-      coarse = want->count / 2;
-      if (coarse != q->count) differ = 1;
-      else
-         for (i = 0; i < 2 * coarse; i++) differ += m[i] != (int32_t)q->members[i];
-      x = tapped_rows(&t, pool_input);
-      if (differ && strcmp(q->name, "pool") == 0 && x && pool_of(r, "pool.", &p)) {
-         ties k2;
-         uint32_t *theirs = (uint32_t *)need(nodes, 4); /* the other member of each node's pair in the file */
-         size_t illegal = 0, valid = 1, unlike = 0;
-         find_ties(&p.p, g, x->rows, &k2);
-         for (i = 0; i < nodes; i++) theirs[i] = UINT32_MAX;
-         for (i = 0; i < coarse && valid; i++) {
-            if (m[2 * i] < 0 || m[2 * i + 1] < 0 || (size_t)m[2 * i] >= nodes || (size_t)m[2 * i + 1] >= nodes ||
-                theirs[m[2 * i]] != UINT32_MAX || theirs[m[2 * i + 1]] != UINT32_MAX)
-               valid = 0;
-            else theirs[m[2 * i]] = (uint32_t)m[2 * i + 1], theirs[m[2 * i + 1]] = (uint32_t)m[2 * i];
-         }
-         if (valid) { /* every edge left out must be blocked by one of the file's pairs that scores as much or ties */
-            float *chosen = (float *)need(nodes, sizeof *chosen);
-            for (i = 0; i < coarse; i++) {
-               uint32_t a = (uint32_t)m[2 * i], b = (uint32_t)m[2 * i + 1];
-               float s = -1;
-               for (k = g->first[a]; k < g->first[a + 1]; k++)
-                  if (g->next[k] == b) s = k2.scores[k];
-               if (a != b && s < 0) valid = 0;
-               chosen[a] = chosen[b] = s;
-            }
-            for (i = 0; i < nodes; i++)
-               for (k = g->first[i]; k < g->first[i + 1]; k++) {
-                  float best = chosen[i] > chosen[g->next[k]] ? chosen[i] : chosen[g->next[k]];
-                  if (above(k2.scores[k], best)) illegal++;
-               }
-            free(chosen);
-         }
-         row = (uint32_t *)need(coarse, sizeof *row);
-         for (i = 0; i < 4; i++) reach[i] = (unsigned char *)need(nodes, 1);
-         for (i = 0; i < coarse && valid; i++) {
-            uint32_t a = (uint32_t)m[2 * i], b = (uint32_t)m[2 * i + 1], c = k2.c.cluster[a], d = k2.c.cluster[b];
-            const uint32_t *own = k2.c.members + 2 * (size_t)c;
-            row[i] = UINT32_MAX;
-            if (c == d && own[0] == a && own[1] == b) row[i] = c;
-            else {
-               reach[0][a] = reach[0][b] = 1, unlike++;
-               reach[0][own[0]] = reach[0][own[1]] = 1;
-               reach[0][k2.c.members[2 * d]] = reach[0][k2.c.members[2 * d + 1]] = 1;
-            }
-         }
-         for (i = 1; i < 3; i++) {
-            memcpy(reach[i], reach[i - 1], nodes);
-            widen(g, k2.c.cluster, k2.c.count, reach[i]);
-            for (k = 0; k < nodes; k++) /* whole clusters of the file's, too */
-               if (valid && reach[i][k]) reach[i][theirs[k]] = 1;
-         }
-         memcpy(reach[3], reach[2], nodes);
-         widen(g, NULL, 0, reach[3]);
-         mark(r, want);
-         if (valid && !illegal) {
-            excused_total += unlike;
-            line(r, "PASS", short_name(r, want), "%zu of %zu pairs differ, every one by a tie within %.0e of the score", unlike,
-                 coarse, TIE);
-         } else {
-            line(r, "FAIL", short_name(r, want), valid ? "%zu edges outscore the file's pairs that block them"
-                                                       : "the file's pairs are not a matching of this graph (%zu)", illegal);
-            for (i = 0; i < 4; i++) free(reach[i]), reach[i] = NULL;
-            free(row), row = NULL;
-         }
-         if (score && row) {
-            float *s = (float *)need(coarse, sizeof *s);
-            unsigned char *out = (unsigned char *)need(coarse, 1);
-            for (i = 0; i < coarse; i++)
-               if (row[i] == UINT32_MAX) out[i] = 1;
-               else s[i] = q->score[row[i]];
-            compare(r, score, "", s, coarse, 1, 1, out);
-            free(s);
-            free(out);
-         } else compare(r, score, "", q->score, mine_total, 1, 1, NULL);
-         free(theirs);
-         free(p.raw);
-         ties_free(&k2);
-      } else {
-         compare_ints(r, want, q->members, 2 * q->count);
-         compare(r, score, "", q->score, q->count, 1, 1, NULL);
-      }
-      free(m);
+   dn_probe probe = probe_of(&t, r, multiresgnet_also);
+   if (net_run(r, n, n->palettes, &probe)) {
+      compare(r, in(r, "mid.features"), "", n->rows, n->view.nodes, n->info.row_width, n->info.row_width, NULL);
+      compare_blocks(r, &t, &n->view.graph, &multiresgnet_pool, 1, NULL, NULL);
    }
-
-   for (i = 0; i < dn_tensors_count(r->cases->t); i++) { /* in the file's order */
-      const dn_tensor *want = dn_tensors_at(r->cases->t, i);
-      size_t level;
-      char *prefix = joined("golden.", r->name, *r->name ? "." : "", "mid.");
-      const char *name = want->name + strlen(prefix);
-      int mine = strncmp(want->name, prefix, strlen(prefix)) == 0;
-      free(prefix);
-      if (!mine || r->done[i] || (x = tapped_rows(&t, name)) == NULL) continue;
-      level = strcmp(name, "pool") == 0 ? 0 : strcmp(name, "global.0") == 0 ? 1 : strcmp(name, "global.1") == 0 ||
-              strcmp(name, "unpool") == 0 ? 2 : strcmp(name, "global.2") == 0 || strncmp(name, "post.", 5) == 0 ||
-              strcmp(name, "out") == 0 ? 3 : 4;
-      if (!row || level == 4) compare(r, want, "", x->rows, x->count, x->width, x->width, NULL);
-      else if (strcmp(name, "unpool") == 0 || level == 3) compare(r, want, "", x->rows, x->count, x->width, x->width, reach[level]);
-      else { /* coarse rows, in the file's order of clusters */
-         float *rows = (float *)need(coarse * x->width, sizeof *rows);
-         unsigned char *out = (unsigned char *)need(coarse, 1);
-         char *members = joined("mid.pool.members", "", "", "");
-         int32_t *m = ints(in(r, members));
-         for (k = 0; k < coarse; k++)
-            if (row[k] == UINT32_MAX || reach[level][m[2 * k]]) out[k] = 1;
-            else memcpy(rows + k * x->width, x->rows + row[k] * x->width, x->width * sizeof *rows);
-         compare(r, want, "", rows, coarse, x->width, x->width, out);
-         free(rows);
-         free(out);
-         free(members);
-         free(m);
-      }
-   }
-   for (i = 0; i < 4; i++) free(reach[i]);
-   free(row);
    taps_free(&t);
 }
 
@@ -1620,6 +1700,10 @@ static void run_network(const run *r)
    }
 }
 
+#include "golden_blend.h"
+
+#include "golden_garment.h"
+
 /* --- which kind of case is it ------------------------------------------------------------------------------ */
 static int has_prefix(const run *r, const char *suffix) /* weights of this kind under this case's name, or unnamed */
 {
@@ -1636,9 +1720,14 @@ static void run_case(run *r, const char *path)
    int known = 0;
    case_share = 0;
    r->done = (unsigned char *)need(n, 1);
-   if (arch) {
+   if (run_blend_case(r, arch)) known = 1;
+   else if (arch) {
       for (i = 0; i < COUNT(archs); i++) known |= strcmp(arch, archs[i]) == 0;
       if (known) run_network(r);
+      if (is_garment(arch)) known = 1, run_garment(r, arch);
+   } else if (in(r, "in.direction") && in(r, "in.length")) {
+      known = 1;
+      run_decompose(r);
    } else if (in(r, "in.x") && !in(r, "in.faces") && !in(r, "in.attention")) {
       char *block = in(r, "in.edges") ? block_prefix(r, 0) : NULL;
       known = 1;
@@ -1652,6 +1741,7 @@ static void run_case(run *r, const char *path)
    } else if (in(r, "in.palettes") || in(r, "in.palette")) known = 1, run_skinning(r);
    else if (in(r, "in.positions") && in(r, "in.joints") && (in(r, "out.distance") || in(r, "out.true"))) known = 1, run_geodesic(r);
    else if (in(r, "in.positions") && in(r, "in.faces") && !in(r, "in.x") && !in(r, "in.axis_angle")) known = 1, run_mesh(r);
+   else if (in(r, "in.distances")) known = 1, run_factor(r);
    if (!known) printf("       %s %s: %s%s is not in this version\n", path, r->name, arch ? "architecture " : "this kind of case", arch ? arch : "");
    for (i = 0; i < n; i++) { /* what nothing above has looked at */
       const dn_tensor *t = dn_tensors_at(r->cases->t, i);
