@@ -1,4 +1,4 @@
-/*  fuzz_model.c - a model file that somebody else wrote, or something else: load it, bind a tube, deform
+/*  fuzz_model.c - a model file that somebody else wrote, or something else: load it, bind a tube (or a garment around it), deform
     with libFuzzer   clang -g -O1 -fsanitize=fuzzer,address,undefined -DFUZZ_LIBFUZZER fuzz_model.c -o fuzz_model -lm
                      ./fuzz_model corpus/
     without          cc -g -O1 -fsanitize=address,undefined fuzz_model.c -o fuzz_model -lm
@@ -59,7 +59,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
       dn_result r;
       seen.loaded++;
       dn_model_describe(m, &info);
-      REQUIRE(info.row_width > 0 && info.feature_count > 0 && info.unit > 0.0f && info.licence && info.trained_on && info.arch_name);
+      REQUIRE((info.row_width > 0 && info.feature_count > 0) || info.arch == DN_NEURALBLENDSHAPES);
+      REQUIRE(info.unit > 0.0f && info.licence && info.trained_on && info.arch_name);
       tube_make(&t);
       if (info.joints >= TUBE_S && info.joints <= FUZZ_JOINTS) {
          for (i = 0; i < info.joints; i++) {
@@ -73,7 +74,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
          t.desc.skeleton.inverse_bind = inverse;
          t.pose = palette;
       }
-      r = tiny_deform(m, &t, out, &output, &a, &e);
+      if (info.arch == DN_GARFIT_COARSE || info.arch == DN_GARFITNET || info.arch == DN_CLOTHNET) r = tiny_wear(m, &t, out, NULL, &a, &e);
+      else r = tiny_deform(m, &t, out, &output, &a, &e);
       if (r == DN_OK || r == DN_NOT_FINITE) {
          seen.ran++;
          seen.fallback += r == DN_NOT_FINITE;
@@ -101,7 +103,7 @@ static size_t mutate(unsigned char *p, size_t n, size_t cap, uint64_t *r)
 {
    static const char *const words[] = {"\"F16\"", "\"BF16\"", "\"I32\"", "\"U8\"", "4294967295", "18446744073709551615", "-1", "[]", "{}", "\\u0000", "\\ud800", "null",
       "rest", "dynamic", "mlp", "gat", "neuroskinning", "densegats", "multiresgnet", "geodesic", "distance", "position", "normal", "root", "__metadata__", "deformnet.joints",
-      "1e9", "0", "65537"};
+      "1e9", "0", "65537", "clothnet", "garfitnet", "fit:1", "fit:2"};
    static const unsigned char floats[][4] = {{0, 0, 0xc0, 0x7f}, {0, 0, 0x80, 0x7f}, {0xff, 0xff, 0x7f, 0x7f}, {1, 0, 0, 0}, {0, 0, 0, 0x80}, {0, 0, 0x80, 0xff}, {0, 0, 0, 0x7f}};
    size_t header = n >= 8 ? dn__min(n, 8 + ((size_t)p[0] | (size_t)p[1] << 8)) : n, at, k, len;
    if (n == 0) {
@@ -180,6 +182,10 @@ int main(int argc, char **argv)
       file = tiny_multires("distance", "dynamic", &size), add_seed(file, size);
       file = tiny_multires("distance", "rest", &size), add_seed(file, size);
       file = tiny_multires("position", "dynamic", &size), add_seed(file, size);
+      file = tiny_cloth("dynamic", &size), add_seed(file, size);
+      file = tiny_cloth("rest", &size), add_seed(file, size);
+      file = tiny_garfit("dynamic", &size), add_seed(file, size);
+      file = tiny_garfit("rest", &size), add_seed(file, size);
    }
    for (k = 0, cap = 0; k < corpus_count; k++) {
       cap = dn__max(cap, corpus[k].size);

@@ -28,15 +28,15 @@ static void run_decompose(const run *r)
 }
 
 /* what a garment network's pools stand between, and which rows tell where its directions are short */
-typedef struct outfit { const char *arch; pooling pools[2]; const char *also[4], *coarse_out, *refine_out; } outfit;
+typedef struct outfit { const char *arch; pooling pools[2]; const char *also[5] /* the last one NULL */, *coarse_out, *refine_out; } outfit;
 static const outfit outfits[] = {
-   {"garfit_coarse", {{NULL, NULL, {NULL, NULL}, NULL}, {NULL, NULL, {NULL, NULL}, NULL}}, {"dir.out", NULL, NULL, NULL}, "dir.out", NULL},
+   {"garfit_coarse", {{NULL, NULL, {NULL, NULL}, NULL}, {NULL, NULL, {NULL, NULL}, NULL}}, {"dir.out", NULL, NULL, NULL, NULL}, "dir.out", NULL},
    {"garfitnet",
     {{"dir.", "hadamard", {"global.0", "global.1"}, "global.2"}, {"len.", "hadamard", {"global.0", "global.1"}, "global.2"}},
-    {"dir.out", "hadamard", NULL, NULL}, NULL, "dir.out"},
+    {"dir.out", "hadamard", NULL, NULL, NULL}, NULL, "dir.out"},
    {"clothnet",
     {{"detail.dir.", "detail.dir.gat.0", {"gat.1", "gat.2"}, "gat.3"}, {"detail.len.", "detail.len.gat.0", {"gat.1", "gat.2"}, "gat.3"}},
-    {"coarse.dir.out", "detail.dir.out", "detail.dir.gat.0", "detail.len.gat.0"}, "coarse.dir.out", "detail.dir.out"}};
+    {"coarse.dir.out", "detail.dir.out", "detail.dir.gat.0", "detail.len.gat.0", NULL}, "coarse.dir.out", "detail.dir.out"}};
 
 typedef struct suit {
    const outfit *kind;

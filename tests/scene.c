@@ -1,4 +1,4 @@
-/*  scene.c - the examples' files: safetensors in and out, characters, motions, baked animations, and glTF
+/*  scene.c - the examples' files: safetensors in and out, characters, motions, bare meshes, baked animations, and glTF
 
     Alone (by the Makefile) it is built without a glTF reader; scene.sh builds it once more with tinygltf and then
     every glTF case runs too. All files are made here. */
@@ -8,6 +8,11 @@
 #include "../examples/common/scene.c"
 #undef say
 #undef copy_text
+#include "../examples/common/glb.c"
+#include "../examples/common/mesh.c"
+#define identity retarget_identity
+#include "../examples/common/retarget.c"
+#undef identity
 #include "test.h"
 
 static char error[EX_ERROR], folder[64];
@@ -331,6 +336,98 @@ TEST(baked_animation)
    remove(path);
 }
 
+/* ------------------------------------------------- OBJ */
+static ex_mesh *obj_of(const char *path, const char *text)
+{
+   save(path, text, strlen(text));
+   return ex_mesh_load(path, error);
+}
+TEST(obj_meshes)
+{
+   static const struct { const char *text; size_t vertices, triangles; int normals, uv; } good[] = {
+      {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3", 3, 1, 0, 0},                              /* no last line end */
+      {"# c\r\nv 0 0 0 1\r\nv 1 0 0 .5 .5 .5\r\nv 1 1 0\r\nv 0 1 0\r\ng a\r\nf 1 2 3 4 # quad\r\n", 4, 2, 0, 0},
+      {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\n\n\n", 3, 1, 0, 0},                       /* from the end */
+      {"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt .25 0.75\nvn 0 0 2\nf 1/1/1 2/2/1 3/1/1\nf 1/1/1 3/1/1 4/2/1\n", 4, 2, 1, 1},
+      {"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt .25 0.75\nf 1/1 2/1 3/1\nf 1/2 3/1 4/1\n", 5, 2, 0, 1},  /* a seam at vertex 1 */
+      {"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//1\n", 3, 1, 1, 0},
+      {"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nvn 0 0 1\nf 1//1 2//1 3\n", 4 - 1, 1, 0, 0},   /* a normal missing: none; vertex 4 unused */
+      {"v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 0\nf 1//1 2//1 3//1\n", 3, 1, 0, 0}          /* no direction */
+   };
+   static const char *const bad[][2] = {
+      {"", "no faces"}, {"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no faces"}, {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "line 4: a face names a vertex"},
+      {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "line 4"}, {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 -2 -1\n", "line 4"},
+      {"v 0 0 0\nv 1 0 0\nf 1 2\n", "line 3: a face has fewer"}, {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3x\n", "line 4: a corner"},
+      {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/1 3/1\n", "texture coordinate"}, {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//1 2//1 3//1\n", "a normal that is not"},
+      {"v 0 0\n", "line 1: has too few"}, {"v 0 0 zero\n", "line 1: is not a list"}, {"v 0 0 nan\n", "line 1"}, {"v 0 0 1e999\n", "line 1"},
+      {"v 0 0 1e\n", "line 1"}, {"v 1e20 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "position of vertex 0"},
+      {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1/1/1 2 3\n", "line 4"}, {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 99999999999999999999 2 3\n", "line 4"}
+   };
+   static const char zero_inside[] = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n\0more";
+   const char *path = file("o.obj");
+   ex_mesh *m;
+   size_t i, n = 0;
+   for (i = 0; i < sizeof good / sizeof *good; i++) {
+      m = obj_of(path, good[i].text);
+      if (!CHECK_MSG(m != NULL, "%s", error)) continue;
+      CHECK_MSG(m->vertices == good[i].vertices && m->triangles == good[i].triangles && !m->normals == !good[i].normals && !m->uv == !good[i].uv,
+                "file %lu: %lu vertices, %lu triangles", (unsigned long)i, (unsigned long)m->vertices, (unsigned long)m->triangles);
+      if (m->normals) CHECK(m->normals[2] == 1);
+      if (i == 3) CHECK(m->uv[0] == 0 && m->uv[1] == 1 && m->uv[2] == 0.25f && m->uv[3] == 0.25f); /* from the top */
+      if (i == 1) CHECK(m->triangle[3] == 0 && m->triangle[4] == 2 && m->triangle[5] == 3);
+      ex_mesh_free(m);
+   }
+   for (i = 0; i < sizeof bad / sizeof *bad; i++, n++) {
+      m = obj_of(path, bad[i][0]);
+      CHECK_MSG(!m && strstr(error, path) && strstr(error, bad[i][1]), "file %lu: %s", (unsigned long)i, m ? "was read" : error);
+      ex_mesh_free(m);
+   }
+   m = obj_of(path, "v -1.5e-1 +2.25 1234567.875\nv 3.0000001 .1 7e+2\nv 0.3333333432674408 1e-5 9\nf 1 2 3\n");
+   CHECK_MSG(m && m->positions[0] == -0.15f && m->positions[1] == 2.25f && m->positions[2] == 1234567.875f && m->positions[3] == 3.0000001f &&
+             m->positions[4] == 0.1f && m->positions[5] == 700 && m->positions[6] == 0.3333333432674408f && m->positions[7] == 1e-5f, "%s", error);
+   ex_mesh_free(m);
+   save(path, zero_inside, sizeof zero_inside);
+   CHECK(!ex_mesh_load(path, error) && strstr(error, "zero byte"));
+   CHECK(!ex_mesh_load("none.obj", error) && strstr(error, "cannot be opened"));
+   CHECK(!ex_mesh_load("none.fbx", error) && strstr(error, "neither .obj"));
+   AT_LEAST(n, 15, "wrong OBJ files");
+   remove(path);
+}
+
+/* ------------------------------------------------- motions for another skeleton */
+static const char *const bones[S] = {"Hip", "x|Knee"};
+static const int32_t bone_parents[S] = {-1, 0};
+TEST(turns_from_axis_angle)
+{
+   const char *path = file("p.safetensors");
+   static const float standing[S][3] = {{0, 1, 0}, {0, 2, 0}}, turn[2][S][3] = {{{0, 0, 0}, {0, 0, 0}}, {{0, 0, 1.57079633f}, {2.0943951f / 1.7320508f, 2.0943951f / 1.7320508f, 2.0943951f / 1.7320508f}}};
+   static const float go[2][3] = {{0, 0, 0}, {1, 2, 3}};
+   size_t shape[3] = {2, S, 3}, id[2];
+   ex_skeleton k;
+   ex_turns *t;
+   ex_writer *w = ex_writer_open(path, error);
+   float q[4];
+   k.joints = S, k.names = bones, k.parents = bone_parents, k.rest = standing[0];
+   ex_writer_meta(w, "fps", "25");
+   id[0] = ex_writer_tensor(w, "axis_angle", EX_F32, 3, shape);
+   shape[1] = 3;
+   id[1] = ex_writer_tensor(w, "translation", EX_F32, 2, shape);
+   ex_writer_put(w, id[0], 0, turn, 2 * S * 3);
+   ex_writer_put(w, id[1], 0, go, 6);
+   CHECK(ex_writer_close(w, error));
+   t = ex_turns_load(path, NULL, &k, error);
+   if (!CHECK_MSG(t != NULL, "%s", error)) return;
+   CHECK(t->frames == 2 && t->times[1] == 0.04f && t->travel[5] == 3 && t->rotations[0] == 1 && t->rotations[1] == 0);
+   CHECK(fabsf(t->rotations[9 * S + 1] + 1) < 1e-6f && fabsf(t->rotations[9 * S + 3] - 1) < 1e-6f); /* 90 degrees about z: x to y */
+   CHECK(fabsf(t->rotations[9 * 3 + 2] - 1) < 1e-6f && fabsf(t->rotations[9 * 3 + 3] - 1) < 1e-6f);  /* 120 about (1,1,1): x to y to z */
+   ex_quaternion(t->rotations + 9 * 3, q);
+   CHECK(fabsf(q[0] - 0.5f) < 1e-6f && fabsf(q[3] - 0.5f) < 1e-6f);
+   ex_turns_free(t);
+   k.joints = 1;
+   CHECK(!ex_turns_load(path, NULL, &k, error) && strstr(error, "axis_angle"));
+   remove(path);
+}
+
 /* ------------------------------------------------- glTF */
 #ifndef EX_TINYGLTF
 TEST(gltf_without_a_reader)
@@ -338,6 +435,7 @@ TEST(gltf_without_a_reader)
    const char *path = file("k.glb");
    save(path, "glTF", 4);
    CHECK(refused(ex_scene_load(path, error), path) && strstr(error, "apt-get install libtinygltf-dev"));
+   CHECK(!ex_mesh_load(path, error) && strstr(error, "apt-get install libtinygltf-dev"));
    remove(path);
 }
 #else
@@ -458,6 +556,75 @@ TEST(gltf_character_and_motion)
       ex_scene_free(s);
       remove(small);
    }
+   remove(path);
+}
+TEST(gltf_turns)
+{
+   const char *path = file("q.glb");
+   static const float standing[S][3] = {{0, 1, 0}, {0, 2, 0}}, lying[S][3] = {{0, 1, 0}, {1, 1, 0}};
+   ex_skeleton k;
+   ex_turns *t;
+   save(path, room, make_glb(room, gltf));
+   k.joints = S, k.names = bones, k.parents = bone_parents, k.rest = standing[0];
+   t = ex_turns_load(path, NULL, &k, error);
+   if (!CHECK_MSG(t != NULL, "%s", error)) return;
+   CHECK(t->frames == 3 && t->matched == 2 && t->bridged == 0 && !strcmp(t->name, "bend") && t->times[2] == 2);
+   CHECK(fabsf(t->rotations[9 * 2] - 1) < 1e-6f && fabsf(t->rotations[9 * 3 + 1] + 1) < 1e-6f); /* hip still, knee by 90 degrees */
+   CHECK(fabsf(t->travel[8] - 3) < 1e-6f && t->travel[5] == 0);
+   ex_turns_free(t);
+   k.rest = lying[0]; /* its bone points along x, the clip's along y: the hip brings it there, the knee bends as before */
+   t = ex_turns_load(path, "bend", &k, error);
+   if (!CHECK_MSG(t != NULL, "%s", error)) return;
+   CHECK(t->bridged == 1 && fabsf(t->rotations[1] + 1) < 1e-6f && fabsf(t->rotations[3] - 1) < 1e-6f && fabsf(t->rotations[9] - 1) < 1e-6f);
+   CHECK(fabsf(t->rotations[9 * 2 + 1] + 1) < 1e-6f && fabsf(t->rotations[9 * 3 + 1] + 1) < 1e-6f && fabsf(t->rotations[9 * 5] - 1) < 1e-6f);
+   ex_turns_free(t);
+   { /* a file whose nodes rest turned: only what moves away from that counts */
+      save(path, room, make_glb(room, edited("{\"name\":\"rig:knee\",", "{\"name\":\"rig:knee\",\"rotation\":[0,0,0.70710678,0.70710678],")));
+      k.rest = standing[0];
+      t = ex_turns_load(path, NULL, &k, error);
+      CHECK_MSG(t && fabsf(t->rotations[9 + 1] - 1) < 1e-5f && fabsf(t->rotations[9 * 3] - 1) < 1e-5f, "%s", error); /* keys 0: back by 90; 1: at rest */
+      ex_turns_free(t);
+   }
+   k.names = bones + 1, k.joints = 1;
+   t = ex_turns_load(path, NULL, &k, error);
+   CHECK_MSG(t && t->matched == 1 && fabsf(t->travel[8] - 3) < 1e-6f, "%s", error); /* the knee alone: it goes where the hip carries it */
+   ex_turns_free(t);
+   {
+      static const char *const other[1] = {"tail"};
+      k.names = other;
+      CHECK(!ex_turns_load(path, NULL, &k, error) && strstr(error, "moves no joint"));
+      CHECK(!ex_turns_load(path, "walk", &k, error) && strstr(error, "bend"));
+   }
+   remove(path);
+}
+TEST(gltf_meshes)
+{
+   const char *path = file("r.glb");
+   ex_mesh *m;
+   size_t i;
+   save(path, room, make_glb(room, gltf));
+   m = ex_mesh_load(path, error); /* a skinned mesh: as stored */
+   CHECK_MSG(m && m->vertices == V && m->triangles == T && m->skinned == 1 && !m->normals && !m->uv && !memcmp(m->positions, strip, sizeof strip) && !memcmp(m->triangle, faces, sizeof faces), "%s", error);
+   ex_mesh_free(m);
+   save(path, room, make_glb(room, edited("\"skin\":0,\"translation\":[9,9,9]", "\"translation\":[9,0,-1],\"rotation\":[0,0,0.70710678,0.70710678],\"scale\":[1,1,2]")));
+   m = ex_mesh_load(path, error); /* a bare one: where its node puts it */
+   if (CHECK_MSG(m && m->skinned == 0, "%s", error))
+      for (i = 0; i < V; i++) {
+         float want[3];
+         want[0] = 9 - strip[i][1], want[1] = strip[i][0], want[2] = 2 * strip[i][2] - 1;
+         CHECK(near(m->positions + 3 * i, want, 3, 1e-5f));
+      }
+   ex_mesh_free(m);
+   save(path, room, make_glb(room, edited("\"skin\":0,\"translation\":[9,9,9]", "\"scale\":[-1,1,1]")));
+   m = ex_mesh_load(path, error); /* mirrored: the triangles turn, so that their outside stays outside */
+   CHECK_MSG(m && m->positions[0] == -strip[0][0] && m->triangle[1] == faces[0][2] && m->triangle[2] == faces[0][1], "%s", error);
+   ex_mesh_free(m);
+   save(path, room, make_glb(room, edited("\"scenes\":[{\"nodes\":[0,3]}]", "\"scenes\":[{\"nodes\":[0]}]")));
+   CHECK(!ex_mesh_load(path, error) && strstr(error, "no mesh in its scene"));
+   save(path, room, make_glb(room, edited("\"POSITION\":0", "\"POSITION\":99")));
+   CHECK(!ex_mesh_load(path, error) && strstr(error, "99"));
+   save(path, room, make_glb(room, edited("\"mesh\":0,\"skin\":0", "\"mesh\":7,\"skin\":0")));
+   CHECK(!ex_mesh_load(path, error) && strstr(error, path));
    remove(path);
 }
 TEST(gltf_variants)
@@ -605,8 +772,12 @@ int main(int argc, char **argv)
    RUN(characters_that_are_wrong);
    RUN(motion_by_palettes);
    RUN(baked_animation);
+   RUN(obj_meshes);
+   RUN(turns_from_axis_angle);
 #ifdef EX_TINYGLTF
    RUN(gltf_character_and_motion);
+   RUN(gltf_turns);
+   RUN(gltf_meshes);
    RUN(gltf_variants);
    RUN(gltf_that_is_wrong);
    RUN(gltf_cut_or_changed_anywhere);

@@ -10,7 +10,7 @@ SAN="-g -O1 -fsanitize=address,undefined -fno-sanitize-recover=all"
 passed=0 failed=0
 ok() { if "${@:2}" > "$dir/log" 2>&1; then passed=$((passed + 1)); echo "ok   $1"; else failed=$((failed + 1)); echo "FAIL $1"; head -n 20 "$dir/log"; fi; }
 ok "scene_gltf.cc without tinygltf is empty" $cxx -std=c++11 $W -c ../examples/common/scene_gltf.cc -o "$dir/none.o"
-ok "headers in C++" $cxx -std=c++11 $W -fsyntax-only -x c++ ../examples/common/scene.h
+ok "headers in C++" $cxx -std=c++11 $W -fsyntax-only -x c++ ../examples/common/scene.h ../examples/common/mesh.h ../examples/common/retarget.h
 if ! echo '#include <tiny_gltf.h>' | $cxx -x c++ -E - > /dev/null 2>&1; then
    echo "skip glTF: libtinygltf-dev is not installed"
    echo "scene: $passed passed, $failed failed"

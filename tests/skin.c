@@ -34,7 +34,7 @@ static skin_case skin_make(uint64_t *seed, size_t count, size_t influences, size
    c.wide = c.block[3] + offset + 1, c.out = c.block[4] + offset + 1, c.joint = c.joint_block + offset;
    for (i = 0; i < 3 * count; i++) c.rest[i] = test_uniform(seed, -2, 2);
    for (i = 0; i < 12 * joints; i++) c.palette[i] = test_uniform(seed, -1, 1);
-   for (i = 0; i < 16 * joints; i++) c.wide[i] = i % 16 < 12 ? c.palette[i / 16 * 12 + i % 16] : NAN; /* nobody reads these */
+   for (i = 0; i < 16 * joints; i++) c.wide[i] = i % 16 < 12 ? c.palette[i / 16 * 12 + i % 16] : NAN; /* must not matter */
    for (i = 0; i < count; i++) {
       float sum = 0;
       for (k = 0; k < influences; k++) {

@@ -124,6 +124,77 @@ TEST_UNUSED static unsigned char *tiny_multires(const char *joint_feature, const
    return tiny_file(&w, size);
 }
 
+/* garments' networks, every block 6 wide; 19 and 15 kB. Joints and shape parameters: those of tiny_wear */
+TEST_UNUSED static void tiny_pool(tiny_writer *w, const char *name, size_t in, uint64_t *seed)
+{
+   char full[64];
+   snprintf(full, sizeof full, "%s.lin.weight", name), tiny_tensor(w, full, 2, in, seed, -1.0f, 1.0f);
+   snprintf(full, sizeof full, "%s.att_dst", name), tiny_tensor(w, full, 1, 2, seed, -1.0f, 1.0f);
+   snprintf(full, sizeof full, "%s.att_src", name), tiny_tensor(w, full, 1, 2, seed, -1.0f, 1.0f);
+}
+TEST_UNUSED static void tiny_head(tiny_writer *w, const char *prefix, size_t in, size_t out, uint64_t *seed)
+{
+   char full[64];
+   snprintf(full, sizeof full, "%spost.0", prefix), tiny_linear(w, full, 5, in, seed);
+   snprintf(full, sizeof full, "%spost.1", prefix), tiny_linear(w, full, 4, 5, seed);
+   snprintf(full, sizeof full, "%sout", prefix), tiny_linear(w, full, out, 4, seed);
+}
+enum { TINY_ALPHAS = 2, TINY_BETAS = 1, TINY_THETAS = 4, TINY_SHAPE = TINY_ALPHAS + TINY_BETAS + TINY_THETAS };
+TEST_UNUSED static unsigned char *tiny_cloth(const char *pooling, size_t *size)
+{
+   static tiny_writer w;
+   uint64_t seed = 3;
+   char meta[512], name[64];
+   size_t k, b;
+   snprintf(meta, sizeof meta, TINY_META TINY_JOINTS ",\"deformnet.arch\":\"clothnet\",\"deformnet.frame\":\"root\","
+            "\"deformnet.features\":\"normal,relative,fit:1\",\"deformnet.features.detail\":\"normal,relative,distance\","
+            "\"deformnet.pooling\":\"%s\"", pooling);
+   tiny_begin(&w, meta);
+   tiny_gat(&w, "coarse.gat", 7, &seed);
+   tiny_gat(&w, "detail.gat", 9, &seed);
+   tiny_linear(&w, "parser.0", 5, TINY_SHAPE, &seed);
+   tiny_linear(&w, "parser.1", 4, 5, &seed);
+   tiny_linear(&w, "parser.2", 6, 4, &seed);
+   for (k = 0; k < 2; k++) {
+      const char *head = k ? "len." : "dir.";
+      for (b = 0; b < 7; b++) {
+         if (b < 3) snprintf(name, sizeof name, "coarse.%sgat.%lu", head, (unsigned long)b);
+         else snprintf(name, sizeof name, "detail.%sgat.%lu", head, (unsigned long)(b - 3));
+         tiny_gat(&w, name, 6, &seed);
+      }
+      snprintf(name, sizeof name, "detail.%spool", head), tiny_pool(&w, name, 6, &seed);
+      snprintf(name, sizeof name, "coarse.%s", head), tiny_head(&w, name, 6, k ? 1 : 3, &seed);
+      snprintf(name, sizeof name, "detail.%s", head), tiny_head(&w, name, 6, k ? 1 : 3, &seed);
+   }
+   tiny_tensor(&w, "coarse.output.std", 3, 0, &seed, 0.01f, 0.02f);
+   tiny_tensor(&w, "detail.input.std", 9, 0, &seed, 0.5f, 1.5f);
+   return tiny_file(&w, size);
+}
+TEST_UNUSED static unsigned char *tiny_garfit(const char *pooling, size_t *size)
+{
+   static tiny_writer w;
+   uint64_t seed = 4;
+   char meta[512], name[64];
+   size_t k, b;
+   snprintf(meta, sizeof meta, TINY_META TINY_JOINTS ",\"deformnet.arch\":\"garfitnet\",\"deformnet.frame\":\"model\","
+            "\"deformnet.features\":\"relative,normal,distance\",\"deformnet.pooling\":\"%s\"", pooling);
+   tiny_begin(&w, meta);
+   tiny_gat(&w, "gat.0", 9, &seed);
+   tiny_gat(&w, "gat.1", 6, &seed);
+   tiny_linear(&w, "fit.0", 5, TINY_SHAPE, &seed);
+   tiny_linear(&w, "fit.1", 4, 5, &seed);
+   tiny_linear(&w, "fit.2", 12, 4, &seed);
+   for (k = 0; k < 2; k++) {
+      const char *head = k ? "len." : "dir.";
+      for (b = 0; b < 4; b++) snprintf(name, sizeof name, "%slocal.%lu", head, (unsigned long)b), tiny_gat(&w, name, 12 + 6 * b, &seed);
+      snprintf(name, sizeof name, "%spool", head), tiny_pool(&w, name, 12, &seed);
+      for (b = 0; b < 3; b++) snprintf(name, sizeof name, "%sglobal.%lu", head, (unsigned long)b), tiny_gat(&w, name, b ? 6 : 12, &seed);
+      tiny_head(&w, head, 42, k ? 1 : 3, &seed);
+   }
+   tiny_tensor(&w, "output.std", 3, 0, &seed, 0.01f, 0.02f);
+   return tiny_file(&w, size);
+}
+
 /* --- a tube of 7 rings of 6 vertices around a chain hip - knee - foot; each test spoils its own copy */
 enum { TUBE_RINGS = 7, TUBE_AROUND = 6, TUBE_V = TUBE_RINGS * TUBE_AROUND, TUBE_T = 2 * (TUBE_RINGS - 1) * TUBE_AROUND, TUBE_S = 3 };
 typedef struct tube {
@@ -281,6 +352,50 @@ TEST_UNUSED static dn_result tiny_deform(const dn_model *model, const tube *t, f
    if (info) *info = output;
    test_aligned_free(scratch);
    dn_rig_free(rig);
+   return r;
+}
+/* the same for a garment's model: the tube wears itself, a little wider; out (TUBE_V,3) */
+TEST_UNUSED static dn_result tiny_wear(const dn_model *model, const tube *t, float *out, dn_garment_output *info,
+                                       const dn_allocator *allocator, dn_error *err)
+{
+   static const float shape[TINY_SHAPE] = {0.5f, -0.3f, 0.7f, 0.2f, -0.1f, 0.4f, 0.6f}; /* alpha, beta, theta */
+   float wider[TUBE_V * 3];
+   dn_garment_desc d;
+   dn_garment_pose pose;
+   dn_garment_output output;
+   dn_model_info m;
+   dn_garment *g;
+   dn_result r;
+   size_t bytes, i;
+   void *scratch;
+   for (i = 0; i < TUBE_V * 3; i++) wider[i] = i % 3 ? 1.2f * t->positions[i] : t->positions[i];
+   dn_model_describe(model, &m);
+   memset(&d, 0, sizeof d);
+   memset(&pose, 0, sizeof pose);
+   memset(&output, 0, sizeof output);
+   d.body = t->desc.mesh;
+   d.skeleton = t->desc.skeleton;
+   d.garment.vertices = TUBE_V, d.garment.positions = wider;
+   d.garment.triangles = TUBE_T, d.garment.indices = t->indices, d.garment.index_type = DN_U16;
+   if (m.arch == DN_GARFIT_COARSE) d.coarse = model;
+   else d.refine = model;
+   d.alpha = shape, d.alphas = TINY_ALPHAS;
+   d.beta = shape + TINY_ALPHAS, d.betas = TINY_BETAS;
+   d.thetas = TINY_THETAS;
+   g = dn_garment_create(&d, allocator, NULL, err);
+   if (!g) return err->code;
+   pose.palette = t->pose;
+   pose.matrix = DN_3X4_ROWS;
+   pose.theta = shape + TINY_ALPHAS + TINY_BETAS;
+   pose.strength = 1.0f;
+   output.positions = out;
+   bytes = dn_garment_scratch_size(g, 1);
+   scratch = test_aligned(bytes);
+   memset(scratch, 0xa5, bytes);
+   r = dn_garment_deform(g, &pose, &output, scratch, bytes, NULL, err);
+   if (info) *info = output;
+   test_aligned_free(scratch);
+   dn_garment_free(g);
    return r;
 }
 #endif

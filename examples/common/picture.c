@@ -422,7 +422,7 @@ static void project(const camera *c, const float *p, float out[3])
    out[1] = -dot(d, c->up) * c->scale * c->eye / depth;
 }
 
-typedef struct sample { float depth, normal[3], value; } sample; /* depth 0: nothing there */
+typedef struct sample { float depth, normal[3], value; uint32_t colour; } sample; /* depth 0: nothing there; colour 0: by value */
 typedef struct buffer {
    int width, height;
    sample *at;
@@ -438,12 +438,11 @@ static int buffer_create(buffer *b, int width, int height)
 
 static float edge(const float *a, const float *b, float x, float y) { return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0]); }
 
-/* screen (V,3) is scratch. Inner sides get their normals turned to the eye and a value of -1. */
-static void raster(buffer *b, const camera *c, const ex_comparison *m, const ex_shape *s, float *screen)
+/* on top of what is there. screen (V,3) is scratch. Inner sides get their normals turned to the eye and a value of -1. */
+static void raster_add(buffer *b, const camera *c, const ex_comparison *m, const ex_shape *s, uint32_t colour, float *screen)
 {
    size_t v, t, k;
    float mx = (float)b->width / 2, my = (float)b->height / 2;
-   memset(b->at, 0, (size_t)b->width * (size_t)b->height * sizeof *b->at);
    for (v = 0; v < m->vertices; v++) {
       project(c, s->positions + 3 * v, screen + 3 * v);
       screen[3 * v] += mx, screen[3 * v + 1] += my;
@@ -473,8 +472,15 @@ static void raster(buffer *b, const camera *c, const ex_comparison *m, const ex_
                q->normal[k] = inner ? -n : n;
             }
             q->value = inner ? -1.0f : s->value ? w0 * s->value[id[0]] + w1 * s->value[id[1]] + w2 * s->value[id[2]] : 0;
+            q->colour = colour;
          }
    }
+}
+static void raster_clear(buffer *b) { memset(b->at, 0, (size_t)b->width * (size_t)b->height * sizeof *b->at); }
+static void raster(buffer *b, const camera *c, const ex_comparison *m, const ex_shape *s, float *screen)
+{
+   raster_clear(b);
+   raster_add(b, c, m, s, 0, screen);
 }
 
 /* ===================================================================================== >>colour */
@@ -492,6 +498,7 @@ static void scale_colour(float t, float rgb[3]) /* clay, then yellow, orange, re
    for (k = 0; k < 3; k++) rgb[k] = stop[i][k] + (stop[i + 1][k] - stop[i][k]) * f;
 }
 static float to_srgb(float x) { return x <= 0.0031308f ? 12.92f * x : 1.055f * powf(x, 1 / 2.4f) - 0.055f; }
+static float from_srgb(float x) { return x <= 0.04045f ? x / 12.92f : powf((x + 0.055f) / 1.055f, 2.4f); }
 static uint32_t pack(const float rgb[3])
 {
    uint32_t c = 0;
@@ -551,7 +558,9 @@ static void shade(ex_image *im, int ox, int oy, const buffer *b, const camera *c
                }
                l = sqrtf(dot(q->normal, q->normal));
                for (k = 0; k < 3; k++) n[k] = l > 1e-12f ? q->normal[k] / l : c->back[k];
-               scale_colour(q->value > 0 ? q->value / top : 0, base);
+               if (q->colour)
+                  for (k = 0; k < 3; k++) base[k] = from_srgb((float)(q->colour >> (16 - 8 * k) & 255) / 255);
+               else scale_colour(q->value > 0 ? q->value / top : 0, base);
                open = openness(b, sx, sy, 0.035f * (float)b->width, c->scale);
                light = 0.30f + 0.12f * dot(n, c->up) + 0.62f * fmaxf(dot(n, key), 0) + 0.16f * fmaxf(dot(n, fill_light), 0) +
                        0.14f * fmaxf(dot(n, rim), 0);
@@ -715,6 +724,63 @@ const char *ex_compare(const char *path, const ex_comparison *m)
       why = ex_png_write(path, &im);
    }
    free(screen), free(small.at), free(whole.at), free(close_up.at);
+   ex_image_free(&im);
+   return why;
+}
+
+/* ===================================================================================== >>panels */
+const char *ex_panels(const char *path, const char *title, const ex_panel *panel, size_t rows, size_t columns)
+{
+   enum { MARGIN = 24, GAP = 12, WIDTH = 340, TALL = 420, HEAD = 64, LINE = 44 };
+   float across = 1e-6f, low = 1e30f, high = -1e30f;
+   size_t i, p, v, most = 1;
+   float *screen;
+   buffer b;
+   ex_image im;
+   const char *why = NULL;
+   int bad;
+   for (i = 0; i < rows * columns; i++) { /* one scale for all: half the widest, and the tallest */
+      float ca = cosf(panel[i].turn), sa = sinf(panel[i].turn);
+      for (p = 0; p < panel[i].parts; p++) {
+         const ex_part *q = panel[i].part + p;
+         if (q->vertices > most) most = q->vertices;
+         for (v = 0; v < q->vertices; v++) {
+            across = fmaxf(across, fabsf(ca * q->positions[3 * v] - sa * q->positions[3 * v + 2]));
+            low = fminf(low, q->positions[3 * v + 1]), high = fmaxf(high, q->positions[3 * v + 1]);
+         }
+      }
+   }
+   memset(&im, 0, sizeof im);
+   screen = (float *)malloc(most * 3 * sizeof *screen);
+   bad = buffer_create(&b, WIDTH * SUPER, TALL * SUPER);
+   bad |= ex_image_create(&im, 2 * MARGIN + columns * WIDTH + (columns - 1) * GAP, HEAD + rows * (TALL + LINE + GAP) + MARGIN, page);
+   if (bad || !screen) why = "out of memory for the picture";
+   if (!why) {
+      float room = (float)(im.width - 2 * MARGIN), wide = ex_text_width(18, title), middle[3] = { 0, 0, 0 };
+      float scale = 0.47f * fminf((float)WIDTH / across, 2 * (float)TALL / fmaxf(high - low, 1e-6f));
+      middle[1] = (low + high) / 2;
+      ex_text(&im, MARGIN, 40, wide > room ? 18 * room / wide : 18, ink, title);
+      for (i = 0; i < rows * columns; i++) {
+         int x = (int)(MARGIN + i % columns * (WIDTH + GAP)), y = (int)(HEAD + i / columns * (TALL + LINE + GAP));
+         camera c = look(panel[i].turn, 0.06f, middle, high - low, 1);
+         c.scale = scale * SUPER;
+         raster_clear(&b);
+         for (p = 0; p < panel[i].parts; p++) {
+            const ex_part *q = panel[i].part + p;
+            ex_comparison m;
+            ex_shape s;
+            memset(&m, 0, sizeof m), memset(&s, 0, sizeof s);
+            m.vertices = q->vertices, m.triangles = q->triangles, m.triangle = q->triangle;
+            s.positions = q->positions, s.normals = q->normals;
+            raster_add(&b, &c, &m, &s, q->colour, screen);
+         }
+         if (panel[i].title) ex_text(&im, (float)x, (float)(y + 16), 12, ink, panel[i].title);
+         if (panel[i].caption) ex_text(&im, (float)x, (float)(y + 34), 9.5f, soft_ink, panel[i].caption);
+         shade(&im, x, y + LINE, &b, &c, 1);
+      }
+      why = ex_png_write(path, &im);
+   }
+   free(screen), free(b.at);
    ex_image_free(&im);
    return why;
 }

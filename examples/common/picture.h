@@ -42,4 +42,20 @@ typedef struct ex_comparison { /* shapes of one mesh, next to each other: whole,
     up is +y. NULL, or the reason in one line */
 const char *ex_compare(const char *path, const ex_comparison *c);
 
+typedef struct ex_part {             /* one mesh of several that stand together */
+   size_t vertices, triangles;
+   const uint32_t *triangle;         /* (triangles,3) < vertices */
+   const float *positions, *normals; /* (V,3) */
+   uint32_t colour;                  /* 0xRRGGBB, not 0 */
+} ex_part;
+typedef struct ex_panel {
+   const char *title, *caption;      /* either may be NULL */
+   size_t parts;
+   const ex_part *part;
+   float turn;                       /* of the eye about +y, radians: 0 from +z */
+} ex_panel;
+
+/*  panels (rows,columns) drawn to one scale, so that sizes compare; up is +y. NULL, or the reason in one line */
+const char *ex_panels(const char *path, const char *title, const ex_panel *panel, size_t rows, size_t columns);
+
 #endif

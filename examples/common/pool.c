@@ -1,12 +1,54 @@
 /* pool.c - see pool.h. A job is a counter of chunks: whoever is free takes the next one. */
 #include "pool.h"
-#include <pthread.h>
 #include <stdlib.h>
 
-/* The two words that are read without the lock. Everything else is guarded by it. */
-#define EX_LOAD(x) __atomic_load_n(&(x), __ATOMIC_ACQUIRE)
-#define EX_STORE(x, v) __atomic_store_n(&(x), v, __ATOMIC_RELEASE)
-#define EX_TAKE(x) __atomic_fetch_add(&(x), 1, __ATOMIC_ACQ_REL)
+/* Two words are read without the lock: LOAD, STORE and TAKE are theirs. Everything else is guarded by it. */
+#ifdef EX_POOL_C11
+   #include <stdatomic.h>
+   #include <threads.h>
+typedef mtx_t ex_mutex;
+typedef cnd_t ex_condition;
+typedef thrd_t ex_thread;
+typedef int ex_main_result;
+typedef atomic_uint ex_word;
+typedef atomic_size_t ex_counter;
+   #define EX_LOAD(x) atomic_load_explicit(&(x), memory_order_acquire)
+   #define EX_STORE(x, v) atomic_store_explicit(&(x), v, memory_order_release)
+   #define EX_TAKE(x) atomic_fetch_add_explicit(&(x), 1, memory_order_acq_rel)
+static int ex_mutex_create(ex_mutex *m) { return mtx_init(m, mtx_plain) == thrd_success; }
+static void ex_mutex_free(ex_mutex *m) { mtx_destroy(m); }
+static void ex_lock(ex_mutex *m) { mtx_lock(m); }
+static void ex_unlock(ex_mutex *m) { mtx_unlock(m); }
+static int ex_condition_create(ex_condition *c) { return cnd_init(c) == thrd_success; }
+static void ex_condition_free(ex_condition *c) { cnd_destroy(c); }
+static void ex_wait(ex_condition *c, ex_mutex *m) { cnd_wait(c, m); }
+static void ex_signal(ex_condition *c) { cnd_signal(c); }
+static void ex_broadcast(ex_condition *c) { cnd_broadcast(c); }
+static int ex_thread_create(ex_thread *t, ex_main_result (*fn)(void *), void *user) { return thrd_create(t, fn, user) == thrd_success; }
+static void ex_thread_join(ex_thread t) { thrd_join(t, NULL); }
+#else
+   #include <pthread.h>
+typedef pthread_mutex_t ex_mutex;
+typedef pthread_cond_t ex_condition;
+typedef pthread_t ex_thread;
+typedef void *ex_main_result;
+typedef unsigned ex_word;
+typedef size_t ex_counter;
+   #define EX_LOAD(x) __atomic_load_n(&(x), __ATOMIC_ACQUIRE)
+   #define EX_STORE(x, v) __atomic_store_n(&(x), v, __ATOMIC_RELEASE)
+   #define EX_TAKE(x) __atomic_fetch_add(&(x), 1, __ATOMIC_ACQ_REL)
+static int ex_mutex_create(ex_mutex *m) { return pthread_mutex_init(m, NULL) == 0; }
+static void ex_mutex_free(ex_mutex *m) { pthread_mutex_destroy(m); }
+static void ex_lock(ex_mutex *m) { pthread_mutex_lock(m); }
+static void ex_unlock(ex_mutex *m) { pthread_mutex_unlock(m); }
+static int ex_condition_create(ex_condition *c) { return pthread_cond_init(c, NULL) == 0; }
+static void ex_condition_free(ex_condition *c) { pthread_cond_destroy(c); }
+static void ex_wait(ex_condition *c, ex_mutex *m) { pthread_cond_wait(c, m); }
+static void ex_signal(ex_condition *c) { pthread_cond_signal(c); }
+static void ex_broadcast(ex_condition *c) { pthread_cond_broadcast(c); }
+static int ex_thread_create(ex_thread *t, ex_main_result (*fn)(void *), void *user) { return pthread_create(t, NULL, fn, user) == 0; }
+static void ex_thread_join(ex_thread t) { pthread_join(t, NULL); }
+#endif
 #if defined(__x86_64__) || defined(__i386__)
    #define EX_PAUSE() __builtin_ia32_pause()
 #else
@@ -16,20 +58,21 @@ enum { EX_LOOKS = 600, EX_CHUNKS = 4 }; /* looks before sleeping; chunks a worke
 
 typedef struct ex_worker {
    ex_pool *pool;
-   pthread_t thread;
+   ex_thread thread;
    unsigned number;
 } ex_worker;
 
 struct ex_pool {
-   pthread_mutex_t busy;       /* one job at a time */
-   pthread_mutex_t lock;
-   pthread_cond_t wake, done;
+   ex_mutex busy;              /* one job at a time */
+   ex_mutex lock;
+   ex_condition wake, done;
    unsigned threads, started;  /* asked for; workers that run (the caller is not among them) */
-   unsigned job_number;        /* counts jobs; read without the lock while looking out */
+   ex_word job_number;         /* counts jobs; read without the lock while looking out */
    unsigned asleep, active;    /* workers waiting on wake; workers inside the job */
    int open, stop;             /* the job may still be joined; leave */
+   int ready;                  /* locks and conditions made, of 4 */
    size_t count, step, chunks; /* the job */
-   size_t next;                /* chunk to take; without the lock */
+   ex_counter next;            /* chunk to take; without the lock */
    dn_range_fn *fn;
    void *job;
    ex_worker *worker;
@@ -44,7 +87,7 @@ static void ex_work(ex_pool *p, unsigned number)
    }
 }
 
-static void *ex_worker_main(void *user)
+static ex_main_result ex_worker_main(void *user)
 {
    ex_worker *w = (ex_worker *)user;
    ex_pool *p = w->pool;
@@ -53,24 +96,24 @@ static void *ex_worker_main(void *user)
    while (!stop) {
       int look;
       for (look = 0; look < EX_LOOKS && EX_LOAD(p->job_number) == seen; look++) EX_PAUSE();
-      pthread_mutex_lock(&p->lock);
+      ex_lock(&p->lock);
       while (p->job_number == seen && !p->stop) {
          p->asleep++;
-         pthread_cond_wait(&p->wake, &p->lock);
+         ex_wait(&p->wake, &p->lock);
          p->asleep--;
       }
       seen = p->job_number;
       stop = p->stop;
       if (p->open && !stop) { /* closed already: the others did it all */
          p->active++;
-         pthread_mutex_unlock(&p->lock);
+         ex_unlock(&p->lock);
          ex_work(p, w->number);
-         pthread_mutex_lock(&p->lock);
-         if (--p->active == 0) pthread_cond_signal(&p->done);
+         ex_lock(&p->lock);
+         if (--p->active == 0) ex_signal(&p->done);
       }
-      pthread_mutex_unlock(&p->lock);
+      ex_unlock(&p->lock);
    }
-   return NULL;
+   return 0;
 }
 
 static void ex_pool_run(void *user, size_t count, size_t grain, dn_range_fn *fn, void *job)
@@ -80,8 +123,8 @@ static void ex_pool_run(void *user, size_t count, size_t grain, dn_range_fn *fn,
    if (grain == 0) grain = 1;
    units = count / grain + (count % grain != 0);
    share = units / ((size_t)p->threads * EX_CHUNKS);
-   pthread_mutex_lock(&p->busy);
-   pthread_mutex_lock(&p->lock);
+   ex_lock(&p->busy);
+   ex_lock(&p->lock);
    p->count = count;
    p->step = grain * (share ? share : 1);
    p->chunks = count / p->step + (count % p->step != 0);
@@ -90,14 +133,14 @@ static void ex_pool_run(void *user, size_t count, size_t grain, dn_range_fn *fn,
    EX_STORE(p->next, (size_t)0);
    p->open = 1;
    EX_STORE(p->job_number, p->job_number + 1);
-   if (p->asleep) pthread_cond_broadcast(&p->wake);
-   pthread_mutex_unlock(&p->lock);
+   if (p->asleep) ex_broadcast(&p->wake);
+   ex_unlock(&p->lock);
    ex_work(p, 0);
-   pthread_mutex_lock(&p->lock);
+   ex_lock(&p->lock);
    p->open = 0; /* who has not joined by now would find nothing to do */
-   while (p->active) pthread_cond_wait(&p->done, &p->lock);
-   pthread_mutex_unlock(&p->lock);
-   pthread_mutex_unlock(&p->busy);
+   while (p->active) ex_wait(&p->done, &p->lock);
+   ex_unlock(&p->lock);
+   ex_unlock(&p->busy);
 }
 
 ex_pool *ex_pool_create(unsigned threads)
@@ -106,18 +149,18 @@ ex_pool *ex_pool_create(unsigned threads)
    if (!p) return NULL;
    p->threads = threads ? threads : 1;
    p->worker = (ex_worker *)calloc(p->threads, sizeof *p->worker);
-   pthread_mutex_init(&p->busy, NULL);
-   pthread_mutex_init(&p->lock, NULL);
-   pthread_cond_init(&p->wake, NULL);
-   pthread_cond_init(&p->done, NULL);
-   while (p->worker && p->started + 1 < p->threads) {
+   p->ready = ex_mutex_create(&p->busy);
+   p->ready += p->ready == 1 && ex_mutex_create(&p->lock);
+   p->ready += p->ready == 2 && ex_condition_create(&p->wake);
+   p->ready += p->ready == 3 && ex_condition_create(&p->done);
+   while (p->ready == 4 && p->worker && p->started + 1 < p->threads) {
       ex_worker *w = &p->worker[p->started];
       w->pool = p;
       w->number = p->started + 1;
-      if (pthread_create(&w->thread, NULL, ex_worker_main, w)) break;
+      if (!ex_thread_create(&w->thread, ex_worker_main, w)) break;
       p->started++;
    }
-   if (p->worker && p->started + 1 == p->threads) return p;
+   if (p->ready == 4 && p->worker && p->started + 1 == p->threads) return p;
    ex_pool_free(p);
    return NULL;
 }
@@ -126,16 +169,18 @@ void ex_pool_free(ex_pool *p)
 {
    unsigned i;
    if (!p) return;
-   pthread_mutex_lock(&p->lock);
-   p->stop = 1;
-   EX_STORE(p->job_number, p->job_number + 1);
-   pthread_cond_broadcast(&p->wake);
-   pthread_mutex_unlock(&p->lock);
-   for (i = 0; i < p->started; i++) pthread_join(p->worker[i].thread, NULL);
-   pthread_cond_destroy(&p->done);
-   pthread_cond_destroy(&p->wake);
-   pthread_mutex_destroy(&p->lock);
-   pthread_mutex_destroy(&p->busy);
+   if (p->started > 0) {
+      ex_lock(&p->lock);
+      p->stop = 1;
+      EX_STORE(p->job_number, p->job_number + 1);
+      ex_broadcast(&p->wake);
+      ex_unlock(&p->lock);
+   }
+   for (i = 0; i < p->started; i++) ex_thread_join(p->worker[i].thread);
+   if (p->ready > 3) ex_condition_free(&p->done);
+   if (p->ready > 2) ex_condition_free(&p->wake);
+   if (p->ready > 1) ex_mutex_free(&p->lock);
+   if (p->ready > 0) ex_mutex_free(&p->busy);
    free(p->worker);
    free(p);
 }

@@ -12,6 +12,7 @@
               where Debian's libtinygltf-dev is installed (without it reading glTF is an error that says so) */
 #ifndef EX_SCENE_H
 #define EX_SCENE_H
+#include "glb.h"
 #include "tensors.h"
 
 #ifdef __cplusplus
@@ -92,20 +93,6 @@ void ex_skin(const ex_scene *scene, const float *palette, float *out);
 void ex_normals(size_t vertices, const float *positions, size_t triangles, const uint32_t *triangle, float *out);
 /*  the name without its prefix */
 const char *ex_short_name(const char *name);
-
-/*  ex_write_glb - baked frames as an animation that any viewer plays
-
-    One mesh with the first frame as its shape and one morph target for each further frame; the weights move
-    linearly from frame to frame. Offsets are stored as they are (float32), so a frame is exact.
-    frames    F; positions (F,V,3); normals (F,V,3) or NULL: computed; times (F) ascending, seconds
-    size      about 24 F V bytes */
-typedef struct ex_baked {
-   const char *name;              /* of mesh and animation */
-   size_t vertices, triangles, frames;
-   const uint32_t *triangle;
-   const float *positions, *normals, *times;
-} ex_baked;
-int ex_write_glb(const char *path, const ex_baked *baked, char *error);
 
 /* ------------------------------------------------- between scene.c and scene_gltf.cc; not for examples */
 typedef struct ex__track { size_t node; int kind; float *values; } ex__track; /* kind 0 t, 1 r, 2 s; (F,3) or (F,4) */

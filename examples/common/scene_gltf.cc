@@ -3,6 +3,7 @@
     tinygltf parses the JSON and loads buffers; whatever it hands over is checked here again before it is used:
     every index, every accessor's range in its view and its buffer. Images are never decoded. */
 #ifdef EX_TINYGLTF
+#include "mesh.h"
 #include "scene.h"
 #include <tiny_gltf.h>
 #include <algorithm>
@@ -411,6 +412,76 @@ void fill_scene(ex_scene *s, const char *path)
    b.range.clear(); /* the names are the scene's now */
 }
 
+/* ------------------------------------------------- bare meshes */
+struct bare { std::vector<float> position, normal, uv; std::vector<uint32_t> triangle; bool normals, uvs; };
+/* one primitive in the scene's space; world (12). A mirroring transform turns the triangles */
+void add_bare(bare &b, const tinygltf::Model &m, const tinygltf::Mesh &mesh, const tinygltf::Primitive &p, const double *world)
+{
+   const char *what = mesh.name.empty() ? "mesh" : mesh.name.c_str();
+   auto attribute = [&](const std::string &name) { auto it = p.attributes.find(name); return it == p.attributes.end() ? -1 : it->second; };
+   int mode = p.mode < 0 ? TINYGLTF_MODE_TRIANGLES : p.mode;
+   if (mode != TINYGLTF_MODE_TRIANGLES && mode != TINYGLTF_MODE_TRIANGLE_STRIP && mode != TINYGLTF_MODE_TRIANGLE_FAN) return; /* points, lines */
+   if (attribute("POSITION") < 0) return;
+   std::vector<double> x = read(m, attribute("POSITION"), 3, what), n, t, index;
+   size_t count = x.size() / 3, base = b.position.size() / 3, first = b.triangle.size();
+   if (base + count > 0x7fffffff) throw bad("has too many vertices");
+   if (attribute("NORMAL") >= 0) n = read(m, attribute("NORMAL"), 3, what);
+   if (attribute("TEXCOORD_0") >= 0) t = read(m, attribute("TEXCOORD_0"), 2, what);
+   b.normals = b.normals && n.size() == 3 * count;
+   b.uvs = b.uvs && t.size() == 2 * count;
+   n.resize(3 * count, 0.0);
+   t.resize(2 * count, 0.0);
+   double cross[9], det = 0;
+   for (size_t i = 0; i < 3; i++) for (size_t k = 0; k < 3; k++) { /* normals turn with the cofactors */
+      size_t a = (i + 1) % 3, c = (i + 2) % 3, e = (k + 1) % 3, f = (k + 2) % 3;
+      cross[3 * i + k] = world[4 * a + e] * world[4 * c + f] - world[4 * a + f] * world[4 * c + e];
+      if (i == 0) det += world[k] * cross[k];
+   }
+   for (size_t i = 0; i < count; i++) {
+      for (size_t k = 0; k < 3; k++) {
+         const double *w = world + 4 * k, *c = cross + 3 * k;
+         /* the identity is kept apart so that positions stay the file's bits */
+         b.position.push_back((float)(w[k] == 1 && w[(k + 1) % 3] == 0 && w[(k + 2) % 3] == 0 && w[3] == 0 ? x[3 * i + k] : w[0] * x[3 * i] + w[1] * x[3 * i + 1] + w[2] * x[3 * i + 2] + w[3]));
+         b.normal.push_back((float)(((det < 0) ? -1 : 1) * (c[0] * n[3 * i] + c[1] * n[3 * i + 1] + c[2] * n[3 * i + 2])));
+      }
+      for (size_t k = 0; k < 2; k++) b.uv.push_back((float)t[2 * i + k]);
+   }
+   if (p.indices >= 0) index = read(m, p.indices, 1, what);
+   else for (size_t i = 0; i < count; i++) index.push_back((double)i);
+   builder one;
+   add_triangles(one, index, mode, base, count, what);
+   b.triangle.insert(b.triangle.end(), one.triangle.begin(), one.triangle.end());
+   if (det < 0) for (size_t i = first; i + 2 < b.triangle.size(); i += 3) std::swap(b.triangle[i + 1], b.triangle[i + 2]);
+}
+void fill_mesh(ex_mesh *out, const char *path)
+{
+   tinygltf::Model m = open(path);
+   nodes all = read_nodes(m);
+   bare b;
+   b.normals = b.uvs = true;
+   std::vector<char> shown(m.nodes.size(), m.scenes.empty());
+   size_t scene = m.defaultScene >= 0 && (size_t)m.defaultScene < m.scenes.size() ? (size_t)m.defaultScene : 0;
+   if (!m.scenes.empty()) for (int r : m.scenes[scene].nodes) if (r >= 0 && (size_t)r < shown.size()) shown[(size_t)r] = 1;
+   for (size_t i = 0; i < m.nodes.size(); i++) {
+      const tinygltf::Node &n = m.nodes[i];
+      const double one[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+      int32_t top = (int32_t)i;
+      if (n.mesh < 0) continue;
+      if ((size_t)n.mesh >= m.meshes.size()) throw bad(text("a node has mesh %d of %lu", n.mesh, (unsigned long)m.meshes.size()));
+      while (!shown[(size_t)top] && all.parent[(size_t)top] >= 0) top = all.parent[(size_t)top];
+      if (!shown[(size_t)top]) continue; /* another scene's */
+      if (n.skin >= 0) out->skinned++;
+      for (const tinygltf::Primitive &p : m.meshes[(size_t)n.mesh].primitives) add_bare(b, m, m.meshes[(size_t)n.mesh], p, n.skin >= 0 ? one : &all.world[12 * i]);
+   }
+   if (b.position.empty()) throw bad("has no mesh in its scene");
+   out->vertices = b.position.size() / 3;
+   out->triangles = b.triangle.size() / 3;
+   out->positions = keep(b.position);
+   if (b.normals) out->normals = keep(b.normal);
+   if (b.uvs) out->uv = keep(b.uv);
+   out->triangle = keep(b.triangle);
+}
+
 /* ------------------------------------------------- animations */
 size_t choose(const tinygltf::Model &m, const char *which)
 {
@@ -525,6 +596,18 @@ extern "C" ex_scene *ex__gltf_scene(const char *path, char *error)
    } catch (const std::bad_alloc &) { report(error, path, "out of memory"); }
    catch (const std::exception &e) { report(error, path, e.what()); }
    ex_scene_free(s);
+   return nullptr;
+}
+extern "C" ex_mesh *ex__gltf_mesh(const char *path, char *error)
+{
+   ex_mesh *m = (ex_mesh *)calloc(1, sizeof *m);
+   try {
+      if (!m) throw std::bad_alloc();
+      fill_mesh(m, path);
+      return m;
+   } catch (const std::bad_alloc &) { report(error, path, "out of memory"); }
+   catch (const std::exception &e) { report(error, path, e.what()); }
+   ex_mesh_free(m);
    return nullptr;
 }
 extern "C" ex__clip *ex__gltf_clip(const char *path, const char *which, char *error)

@@ -3,7 +3,8 @@
     --write   runs once and leaves what the other libraries need: the rows, the graph, the pairs that "rest" pooling
               chose, and the displacement to compare with
     otherwise prints "ready KERNEL"; then for a line "prepare" skins and describes and answers "prepared", for a line
-              "run" runs the network on those rows and answers with milliseconds. Only the network is timed */
+              "run" runs the network on those rows and answers with milliseconds. Only the network is timed; of a clothnet
+              model the rows are, too: those of its second stage need the first one's garment */
 #define _POSIX_C_SOURCE 200809L
 #define DEFORMNET_IMPLEMENTATION
 #include "../../deformnet.h"
@@ -18,14 +19,17 @@ typedef struct bench {
    const char *model_path, *case_path;
    ex_tensors *file;
    dn_model *model;
-   dn_rig *rig;
+   dn_rig *rig;          /* or a garment */
+   dn_garment *garment;
+   dn_garment_pose garment_pose;
    ex_pool *pool;
    dn_parallel parallel;
    dn_pose pose;
    void *block, *scratch;
    size_t bytes;
-   uint32_t *pairs; /* (pair_count,2), from the probe */
-   size_t pair_count;
+   uint32_t *pairs[2]; /* (pair_count,2), from the probe */
+   size_t pair_count[2], pools;
+   float *rows[2];     /* clothnet's two feature rows, from the probe */
 } bench;
 
 static void fail(const char *path, const char *why)
@@ -47,6 +51,37 @@ static const void *get(const bench *b, const char *name, ex_dtype type, size_t r
    return t->data;
 }
 
+static void take_scratch(bench *b, size_t bytes)
+{
+   b->bytes = bytes;
+   b->block = malloc(b->bytes + 64);
+   if (!b->block) fail(b->case_path, "out of memory");
+   b->scratch = (unsigned char *)b->block + (64 - ((uintptr_t)b->block & 63));
+}
+static void bind_garment(bench *b, const dn_rig_desc *body) /* shape: 3 alpha, 10 beta, 72 theta */
+{
+   dn_error err;
+   dn_garment_desc d;
+   const float *shape = (const float *)get(b, "shape", EX_F32, 1, 85, NULL);
+   memset(&d, 0, sizeof d);
+   d.body = body->mesh;
+   d.skeleton = body->skeleton;
+   d.garment.positions = (const float *)get(b, "garment_positions", EX_F32, 0, 3, &d.garment.vertices);
+   d.garment.indices = get(b, "garment_indices", EX_I32, 0, 3, &d.garment.triangles);
+   d.garment.index_type = DN_U32;
+   d.refine = b->model;
+   d.alpha = shape, d.alphas = 3;
+   d.beta = shape + 3, d.betas = 10;
+   d.thetas = 72;
+   d.parallel = &b->parallel;
+   b->garment = dn_garment_create(&d, NULL, NULL, &err);
+   if (!b->garment) fail(b->case_path, err.info);
+   memset(&b->garment_pose, 0, sizeof b->garment_pose);
+   b->garment_pose.palette = (const float *)get(b, "palette", EX_F32, d.skeleton.joints, 12, NULL);
+   b->garment_pose.theta = shape + 13;
+   b->garment_pose.strength = 1.0f;
+   take_scratch(b, dn_garment_scratch_size(b->garment, b->parallel.workers));
+}
 static void bind(bench *b)
 {
    char error[EX_ERROR];
@@ -73,6 +108,10 @@ static void bind(bench *b)
    d.mesh.skin = &skin;
    d.skeleton.joints = info.joints;
    d.skeleton.names = info.joint_names;
+   if (info.arch == DN_CLOTHNET) {
+      bind_garment(b, &d);
+      return;
+   }
    d.geodesic = (const float *)get(b, "geodesic", EX_F32, d.mesh.vertices, info.joints, &d.geodesic_nodes);
    d.parallel = &b->parallel;
    b->rig = dn_rig_create(b->model, &d, NULL, NULL, &err);
@@ -80,31 +119,47 @@ static void bind(bench *b)
    memset(&b->pose, 0, sizeof b->pose);
    b->pose.palette = (const float *)get(b, "palette", EX_F32, info.joints, 12, NULL);
    b->pose.strength = 1.0f;
-   b->bytes = dn_scratch_size(b->rig, b->parallel.workers);
-   b->block = malloc(b->bytes + 64);
-   if (!b->block) fail(b->case_path, "out of memory");
-   b->scratch = (unsigned char *)b->block + (64 - ((uintptr_t)b->block & 63));
+   take_scratch(b, dn_scratch_size(b->rig, b->parallel.workers));
 }
 
 static void prepare(bench *b)
 {
    dn_error err;
+   if (b->garment) {
+      if (dn_garment_stage_follow(b->garment, &b->garment_pose, b->scratch, b->bytes, &b->parallel, &err) != DN_OK) fail(b->case_path, err.info);
+      return;
+   }
    if (dn_stage_skin(b->rig, &b->pose, b->scratch, b->bytes, &b->parallel, &err) != DN_OK) fail(b->case_path, err.info);
    dn_stage_rows(b->rig, b->scratch, &b->parallel);
 }
 
+static void run(bench *b, const dn_probe *probe)
+{
+   if (b->garment) {
+      dn_garment_stage_coarse(b->garment, &b->garment_pose, b->scratch, &b->parallel, probe);
+      dn_garment_stage_refine(b->garment, &b->garment_pose, b->scratch, &b->parallel, probe);
+   } else dn_stage_network(b->rig, b->scratch, &b->parallel, probe);
+}
 static void tap(void *user, const char *name, const float *rows, size_t first, size_t count, size_t width, size_t row_stride)
 {
-   (void)user, (void)name, (void)rows, (void)first, (void)count, (void)width, (void)row_stride;
+   bench *b = (bench *)user;
+   int detail = strcmp(name, "detail.features") == 0;
+   (void)first, (void)row_stride;
+   if (!detail && strcmp(name, "coarse.features") != 0) return;
+   b->rows[detail] = (float *)malloc(count * width * sizeof *rows);
+   if (!b->rows[detail]) fail(b->case_path, "out of memory");
+   memcpy(b->rows[detail], rows, count * width * sizeof *rows);
 }
 static void keep_pairs(void *user, const char *name, const uint32_t *members, const float *score, size_t count)
 {
    bench *b = (bench *)user;
+   size_t k = b->pools++;
    (void)name, (void)score;
-   b->pairs = (uint32_t *)malloc(2 * count * sizeof *b->pairs);
-   if (!b->pairs) fail(b->case_path, "out of memory");
-   memcpy(b->pairs, members, 2 * count * sizeof *b->pairs);
-   b->pair_count = count;
+   if (k > 1) fail(b->case_path, "more than two pools");
+   b->pairs[k] = (uint32_t *)malloc(2 * count * sizeof *members);
+   if (!b->pairs[k]) fail(b->case_path, "out of memory");
+   memcpy(b->pairs[k], members, 2 * count * sizeof *members);
+   b->pair_count[k] = count;
 }
 
 static size_t declare(ex_writer *w, const char *name, ex_dtype type, size_t rows, size_t columns)
@@ -112,6 +167,49 @@ static size_t declare(ex_writer *w, const char *name, ex_dtype type, size_t rows
    size_t sides[2];
    sides[0] = rows, sides[1] = columns;
    return ex_writer_tensor(w, name, type, columns ? 2 : 1, sides);
+}
+static void write_garment(bench *b, const char *path)
+{
+   char error[EX_ERROR];
+   dn_model_info info;
+   dn_garment_view view;
+   dn_garment_nodes nodes;
+   dn_probe probe;
+   ex_writer *w = ex_writer_open(path, error);
+   size_t n, i, edges, id[8];
+   float *both;
+   if (!w) fail(path, error);
+   dn_model_describe(b->model, &info);
+   dn_garment_describe(b->garment, &view);
+   n = view.nodes, edges = view.graph.first[n];
+   both = (float *)malloc(n * 6 * sizeof *both);
+   if (!both) fail(path, "out of memory");
+   memset(&probe, 0, sizeof probe);
+   probe.tap = tap, probe.pool = keep_pairs, probe.user = b;
+   prepare(b);
+   run(b, &probe);
+   nodes = dn_garment_nodes_of(b->garment, b->scratch);
+   for (i = 0; i < n; i++) {
+      memcpy(both + 6 * i, nodes.coarse_displacement + 3 * i, 12);
+      memcpy(both + 6 * i + 3, nodes.displacement + 3 * i, 12);
+   }
+   id[0] = declare(w, "coarse_rows", EX_F32, n, info.row_width);
+   id[1] = declare(w, "detail_rows", EX_F32, n, info.detail_width);
+   id[2] = declare(w, "shape", EX_F32, 1, 85);
+   id[3] = declare(w, "first", EX_I32, n + 1, 0);
+   id[4] = declare(w, "next", EX_I32, edges, 0);
+   id[5] = declare(w, "displacement", EX_F32, n, 6);
+   id[6] = declare(w, "pairs", EX_I32, b->pair_count[0], 2);
+   id[7] = declare(w, "pairs_len", EX_I32, b->pair_count[1], 2);
+   ex_writer_put(w, id[0], 0, b->rows[0], n * info.row_width);
+   ex_writer_put(w, id[1], 0, b->rows[1], n * info.detail_width);
+   ex_writer_put(w, id[2], 0, get(b, "shape", EX_F32, 1, 85, NULL), 85);
+   ex_writer_put(w, id[3], 0, view.graph.first, n + 1);
+   ex_writer_put(w, id[4], 0, view.graph.next, edges);
+   ex_writer_put(w, id[5], 0, both, 6 * n);
+   for (i = 0; i < 2; i++) ex_writer_put(w, id[6 + i], 0, b->pairs[i], 2 * b->pair_count[i]);
+   if (!ex_writer_close(w, error)) fail(path, error);
+   free(both);
 }
 static void write_case(bench *b, const char *path)
 {
@@ -132,17 +230,17 @@ static void write_case(bench *b, const char *path)
    probe.tap = tap, probe.pool = keep_pairs, probe.user = b;
    prepare(b);
    memcpy(rows, dn_scratch_rows(b->rig, b->scratch), n * info.row_width * sizeof *rows); /* the network changes them */
-   dn_stage_network(b->rig, b->scratch, &b->parallel, &probe);
+   run(b, &probe);
    id[0] = declare(w, "rows", EX_F32, n, info.row_width);
    id[1] = declare(w, "first", EX_I32, n + 1, 0);
    id[2] = declare(w, "next", EX_I32, edges, 0);
    id[3] = declare(w, "displacement", EX_F32, n, 3);
-   id[4] = b->pairs ? declare(w, "pairs", EX_I32, b->pair_count, 2) : 0;
+   id[4] = b->pools ? declare(w, "pairs", EX_I32, b->pair_count[0], 2) : 0;
    ex_writer_put(w, id[0], 0, rows, n * info.row_width);
    ex_writer_put(w, id[1], 0, view.graph.first, n + 1);
    ex_writer_put(w, id[2], 0, view.graph.next, edges);
    ex_writer_put(w, id[3], 0, dn_scratch_displacement(b->rig, b->scratch), 3 * n);
-   if (b->pairs) ex_writer_put(w, id[4], 0, b->pairs, 2 * b->pair_count);
+   if (b->pools) ex_writer_put(w, id[4], 0, b->pairs[0], 2 * b->pair_count[0]);
    if (!ex_writer_close(w, error)) fail(path, error);
    free(rows);
 }
@@ -164,7 +262,7 @@ static void serve(bench *b)
          puts("prepared");
       } else if (strcmp(line, "run\n") == 0) {
          double start = now();
-         dn_stage_network(b->rig, b->scratch, &b->parallel, NULL);
+         run(b, NULL);
          printf("%.4f\n", now() - start);
       } else fail("standard input", "expected a line prepare or run");
       fflush(stdout);
@@ -186,10 +284,15 @@ int main(int argc, char **argv)
    if (threads > 1 && !b.pool) fail(argv[3], "cannot start that many threads");
    b.parallel = ex_pool_parallel(b.pool);
    bind(&b);
-   if (write) write_case(&b, argv[5]);
+   if (write && b.garment) write_garment(&b, argv[5]);
+   else if (write) write_case(&b, argv[5]);
    else serve(&b);
-   free(b.pairs);
+   free(b.pairs[0]);
+   free(b.pairs[1]);
+   free(b.rows[0]);
+   free(b.rows[1]);
    free(b.block);
+   dn_garment_free(b.garment);
    dn_rig_free(b.rig);
    dn_model_free(b.model);
    ex_tensors_close(b.file);

@@ -24,7 +24,7 @@ const session = await ort.InferenceSession.create(modelPath, {
    executionMode: 'sequential', graphOptimizationLevel: 'all', logSeverityLevel: 3,
    extra: { session: { force_spinning_stop: '1' } } // threads spin within a run, but leave the processor to the next peer
 });
-const feeds = { rows: tensor(casePath, 'rows') };
+const feeds = Object.fromEntries(session.inputNames.map(name => [name, tensor(casePath, name)]));
 if (writePath) {
    const { data } = (await session.run(feeds)).displacement;
    writeFileSync(writePath, Buffer.from(data.buffer, data.byteOffset, data.byteLength));

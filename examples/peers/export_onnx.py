@@ -155,17 +155,91 @@ class Exported(nn.Module):
         return self.out(x)
 
 
-def main():
-    model, case, out = sys.argv[1:]
-    torch.set_num_threads(1)
+class Named:
+    """a layer as the classes above expect it, from a file's tensors"""
+
+    def __init__(self, tensors, name, act):
+        self.act = act
+        for key, value in tensors.items():
+            if key.startswith(name + "."):
+                at, *path = self, *key[len(name) + 1:].split(".")
+                for part in path[:-1]:
+                    if part not in vars(at):
+                        setattr(at, part, type("Part", (), {})())
+                    at = getattr(at, part)
+                setattr(at, path[-1], torch.from_numpy(np.array(value)))
+
+
+class Cloth(nn.Module):
+    """the clothing network: coarse rows, detail rows, shape -> both displacements (N,6)"""
+
+    def __init__(self, tensors, graph, pairs):
+        super().__init__()
+        get = lambda kind, name, act: kind(Named(tensors, name, act))
+        self.table = Table(graph)
+        self.first = nn.ModuleList(get(Gat, f"{s}.gat", "tanh") for s in ("coarse", "detail"))
+        self.parser = nn.ModuleList(get(Linear, f"parser.{k}", "relu") for k in range(3))
+        heads = [(b, a) for b, a in (("dir", "tanh"), ("len", "relu"))]
+        self.gats = nn.ModuleList(nn.ModuleList(get(Gat, f"{s}.{b}.gat.{k}", a) for k in range(n))
+                                  for s, n in (("coarse", 3), ("detail", 4)) for b, a in heads)
+        self.post = nn.ModuleList(nn.ModuleList([get(Linear, f"{s}.{b}.post.0", a), get(Linear, f"{s}.{b}.post.1", a),
+                                                 get(Linear, f"{s}.{b}.out", "none")])
+                                  for s in ("coarse", "detail") for b, a in heads)
+        contractions = [nets.Contraction.of(graph, p) for p in pairs]
+        self.pools = nn.ModuleList(Pool(Named(tensors, f"detail.{b}.pool", ""), graph, c)
+                                   for (b, _), c in zip(heads, contractions))
+        self.tables = nn.ModuleList(Table(c.coarse) for c in contractions)
+        self.std = [torch.from_numpy(np.array(tensors[f"{s}.output.std"])) for s in ("coarse", "detail")]
+
+    def tail(self, k, x):
+        for layer in self.post[k]:
+            x = layer(x)
+        return x
+
+    def decompose(self, direction, length, std):
+        g = torch.tanh(direction)
+        return F.relu(length) * g / g.norm(dim=1, keepdim=True).clamp(min=1e-12) * std
+
+    def forward(self, coarse_rows, detail_rows, shape):
+        x, heads = self.first[0](coarse_rows, self.table), []
+        for k in range(2):
+            y = x
+            for layer in self.gats[k]:
+                y = layer(y, self.table)
+            heads.append(self.tail(k, y))
+        coarse = self.decompose(heads[0], heads[1], self.std[0])
+        for layer in self.parser:
+            shape = layer(shape)
+        x, heads = self.first[1](detail_rows, self.table) * shape, []
+        for k in range(2):
+            a, b, c, d = self.gats[2 + k]
+            y, score = self.pools[k].down(a(x, self.table))
+            y = c(b(y, self.tables[k]), self.tables[k])
+            heads.append(self.tail(2 + k, d(self.pools[k].up(y, score), self.table)))
+        return torch.cat([coarse, self.decompose(heads[0], heads[1], self.std[1])], 1)
+
+
+def load(model, case):
+    """the module for this mesh, the names of its inputs, the inputs"""
     tensors, meta = st.load(model)
     t, _ = st.load(case)
     with torch.no_grad():
-        net = nets.build(meta["deformnet.arch"], tensors)
-        exported = Exported(net, nets.Graph.from_csr(t["first"], t["next"]), t.get("pairs")).eval()
-        rows = torch.from_numpy(np.array(t["rows"]))
+        graph, inputs = nets.Graph.from_csr(t["first"], t["next"]), ["rows"]
+        if meta["deformnet.arch"] == "clothnet":
+            inputs = ["coarse_rows", "detail_rows", "shape"]
+            exported = Cloth(tensors, graph, [t["pairs"], t["pairs_len"]]).eval()
+        else:
+            exported = Exported(nets.build(meta["deformnet.arch"], tensors), graph, t.get("pairs")).eval()
+    return exported, inputs, tuple(torch.from_numpy(np.array(t[name])) for name in inputs)
+
+
+def main():
+    model, case, out = sys.argv[1:]
+    torch.set_num_threads(1)
+    exported, inputs, rows = load(model, case)
+    with torch.no_grad():
         warnings.filterwarnings("ignore", message="The shape inference of")  # about constants; ONNX Runtime infers its own
-        torch.onnx.export(exported, rows, out, opset_version=13, input_names=["rows"], output_names=["displacement"])
+        torch.onnx.export(exported, rows, out, opset_version=13, input_names=inputs, output_names=["displacement"])
     print(f"{out}: {os.path.getsize(out) / 1e6:.1f} MB")
 
 

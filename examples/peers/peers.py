@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""peers.py - deformnet beside ONNX Runtime: the same weights, mesh and inputs, in turns
+"""peers.py - deformnet beside ONNX Runtime and PyTorch: the same weights, mesh and inputs, in turns
 
 run       make -C examples peers        or    python3 peers/peers.py --arch densegats --threads 2 --seconds 60
-times     batch 1, float32, rows given, the network only. Each peer is a process of its own that answers one run at a time;
+times     batch 1, float32, rows given, the network only (clothnet: deformnet's time includes its rows, which need the
+          coarse garment). Each peer is a process of its own that answers one run at a time;
           a turn is one run to warm the caches and three that count
 quiet     a run counts only if the other processes used no more processor time than --noise of the run's, and the peer's
           own threads waited for a processor no longer than that either (/proc/stat, /proc/PID/task/*/schedstat). The
@@ -27,7 +28,7 @@ import safetensors_io as st
 
 TICK = 1 / os.sysconf("SC_CLK_TCK")
 CORES = len(os.sched_getaffinity(0))
-ARCHS = ["densegats", "multiresgnet"]
+ARCHS = ["densegats", "multiresgnet", "clothnet"]
 TOLERANCE = 1e-4
 
 
@@ -84,7 +85,7 @@ class Peer:
 
 
 def prepare(o, arch):
-    """the files of one network; ONNX Runtime's answer against deformnet's -> largest difference, share of the largest"""
+    """the files of one network; the others' answers against deformnet's"""
     path = lambda end: os.path.join(o.work, end)
     run = lambda *command: subprocess.run(command, check=True)
     python = sys.executable
@@ -93,13 +94,15 @@ def prepare(o, arch):
     run(o.bench, model, path(f"{arch}.case.safetensors"), "2", "--write", network)
     run(python, os.path.join(HERE, "export_onnx.py"), model, network, onnx)
     run("node", os.path.join(HERE, "bench_ort.mjs"), o.work, onnx, network, "2", "--write", path(f"{arch}.ort"))
+    if o.torch:
+        run(python, os.path.join(HERE, "bench_torch.py"), model, network, "2", "--write", path(f"{arch}.torch"))
     ours = st.load(network)[0]["displacement"]
-    theirs = np.fromfile(path(f"{arch}.ort"), np.float32).reshape(ours.shape)
-    worst, largest = float(np.abs(ours - theirs).max()), float(np.abs(ours).max())
-    print(f"{arch}: outputs differ by at most {worst:.2e} m, {worst / largest:.1e} of the largest displacement", flush=True)
-    if not worst <= TOLERANCE * largest:  # NaN fails too
-        raise SystemExit(f"{arch}: the outputs do not agree")
-    return len(ours)
+    largest = float(np.abs(ours).max())
+    for name, end in [("ONNX Runtime", "ort")] + ([("PyTorch", "torch")] if o.torch else []):
+        worst = float(np.abs(ours - np.fromfile(path(f"{arch}.{end}"), np.float32).reshape(ours.shape)).max())
+        print(f"{arch}: {name} differs by at most {worst:.2e} m, {worst / largest:.1e} of the largest displacement", flush=True)
+        if not worst <= TOLERANCE * largest:  # NaN fails too
+            raise SystemExit(f"{arch}: the outputs do not agree")
 
 
 def measure(o, arch, threads):
@@ -108,6 +111,9 @@ def measure(o, arch, threads):
     peers = [Peer("deformnet", [o.bench, path(f"{arch}.model.safetensors"), path(f"{arch}.case.safetensors"), str(threads)]),
              Peer("ONNX Runtime", ["node", os.path.join(HERE, "bench_ort.mjs"), o.work, path(f"{arch}.onnx"), network,
                                    str(threads)])]
+    if o.torch:
+        peers.append(Peer("PyTorch", [sys.executable, os.path.join(HERE, "bench_torch.py"), path(f"{arch}.model.safetensors"),
+                                      network, str(threads)]))
     end = time.monotonic() + o.seconds
     while time.monotonic() < end and min(len(p.times) for p in peers) < o.runs:
         for p in peers:
@@ -126,6 +132,7 @@ def main():
     o.add_argument("--runs", type=int, default=20, help="quiet runs wanted of each peer")
     o.add_argument("--seconds", type=float, default=90, help="to look for them, for each network and number of threads")
     o.add_argument("--noise", type=float, default=0.05)
+    o.add_argument("--no-torch", dest="torch", action="store_false", help="without PyTorch, the slowest of the three")
     o.add_argument("--shuffle", action="store_true", help="vertices in random order")
     o.add_argument("--kept", action="store_true", help="measure with the files of the last call")
     o.add_argument("--json")

@@ -13,17 +13,23 @@ safety  nothing but tensors is unpickled; no code of the files runs
 """
 import argparse
 import collections
+import inspect
+import io
 import os
 import pickle
 import re
 import shlex
 import sys
-import types
+import zipfile
 
 import numpy as np
-import torch
 
 import safetensors_io as st
+
+try:
+    import torch
+except ImportError:  # not needed for files written by PyTorch 1.6 or newer
+    torch = None
 
 BRANCHES = {"att": 4, "geo": 4, "gen": 4, "geo2": 4, "dec": 2, "coff": 3}  # layers in each
 SMPL = "-1,0,0,0,1,2,3,4,5,6,7,8,9,9,9,12,13,14,16,17,18,19,20,21"  # the skeleton of the published weights
@@ -45,32 +51,56 @@ class Bad(Exception):
 
 # ------------------------------------------------------------------------------------------------ reading
 def restricted(path):
-    """torch.load with an unpickler that knows tensors and dictionaries and nothing else, for torch before 1.13"""
-    allowed = {("collections", "OrderedDict"): collections.OrderedDict,
-               ("torch._utils", "_rebuild_tensor_v2"): torch._utils._rebuild_tensor_v2,
-               ("torch._utils", "_rebuild_parameter"): torch._utils._rebuild_parameter}
-    storages = {t + "Storage" for t in "Float Double Half BFloat16 Long Int Short Char Byte Bool".split()}
+    """the same without PyTorch: a zip of data.pkl and one file for each storage, unpickled by a reader that knows
+    dictionaries and tensors and refuses every other name"""
+    kinds = {"Float": "<f4", "Double": "<f8", "Half": "<f2", "Long": "<i8", "Int": "<i4", "Short": "<i2", "Char": "i1", "Byte": "u1", "Bool": "u1"}
+
+    def tensor(storage, offset, size, stride, *_):
+        last = offset + sum((n - 1) * step for n, step in zip(size, stride))
+        if min(size, default=1) <= 0 or min(stride, default=0) < 0 or offset < 0 or len(size) != len(stride) or last >= len(storage):
+            raise pickle.UnpicklingError("a tensor that leaves its storage")
+        return np.lib.stride_tricks.as_strided(storage[offset:], size, [step * storage.itemsize for step in stride])
 
     class Unpickler(pickle.Unpickler):
         def find_class(self, module, name):
-            if (module, name) in allowed:
-                return allowed[module, name]
-            if module == "torch" and name in storages:
-                return getattr(torch, name)
+            if (module, name) == ("collections", "OrderedDict"):
+                return collections.OrderedDict
+            if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
+                return tensor
+            if (module, name) == ("torch._utils", "_rebuild_parameter"):
+                return lambda value, *_: value
+            if module == "torch" and name.endswith("Storage") and name[:-7] in kinds:
+                return kinds[name[:-7]]
             raise pickle.UnpicklingError(f"wants {module}.{name}")
 
-    def load(file, **arguments):
-        return Unpickler(file, **arguments).load()
+        def persistent_load(self, pid):
+            kind, dtype, key, _, count = pid
+            record = records.getinfo(f"{root}data/{key}")
+            if kind != "storage" or record.compress_type != zipfile.ZIP_STORED or record.file_size != count * np.dtype(dtype).itemsize:
+                raise pickle.UnpicklingError(f"storage {key} does not hold {count} numbers")
+            return np.frombuffer(records.read(record), dtype)
 
-    only = types.SimpleNamespace(__name__="tensors only", Unpickler=Unpickler, load=load)
-    return torch.load(path, map_location="cpu", pickle_module=only)
+    if not zipfile.is_zipfile(path):
+        raise ValueError("neither empty nor whole, or older than PyTorch 1.6, which only PyTorch 1.13 or newer can read safely")
+    with zipfile.ZipFile(path) as records:
+        root = [n[:-8] for n in records.namelist() if n.endswith("data.pkl")][0]
+        return Unpickler(io.BytesIO(records.read(root + "data.pkl"))).load()
 
 
 def safe(path):
-    try:
-        return torch.load(path, map_location="cpu", weights_only=True)
-    except TypeError:  # torch before 1.13 hands the unknown argument to the unpickler, which refuses it
+    """torch.load where it can be told to read tensors only, the reader above elsewhere. (pickle_module is no way to
+    have both: there are builds of PyTorch that ignore it.)"""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as records:
+            if any(n.endswith("constants.pkl") for n in records.namelist()):
+                raise ValueError("a TorchScript program")  # torch.load would run it
+    if torch is None or "weights_only" not in inspect.signature(torch.load).parameters:
         return restricted(path)
+    state = torch.load(path, map_location="cpu", weights_only=True)
+    if not isinstance(state, dict):
+        return state
+    return {k: v.detach().float().numpy() if isinstance(v, torch.Tensor) and v.dtype == torch.bfloat16 else v.detach().numpy() if isinstance(v, torch.Tensor) else v
+            for k, v in state.items()}
 
 
 def read(folder, branch, reader=safe):
@@ -80,14 +110,16 @@ def read(folder, branch, reader=safe):
         raise Bad(f"{path}: no such file; expected {', '.join(BRANCHES)} in {folder}, each with model/latest.pt")
     try:
         state = reader(path)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, AttributeError, AssertionError) as e:
+    except OSError:
+        raise
+    except Exception as e:  # whatever a spoilt file leads to
         raise Bad(f"{path}: not a file of tensors: {(str(e) or type(e).__name__).splitlines()[0]}")
     if not isinstance(state, dict) or not state:
         raise Bad(f"{path}: expected a state dictionary, found {type(state).__name__}")
     for key, value in state.items():
-        if not isinstance(key, str) or not isinstance(value, torch.Tensor):
+        if not isinstance(key, str) or not isinstance(value, np.ndarray):
             raise Bad(f"{path}: {key!r}: expected a tensor, found {type(value).__name__}")
-        if not value.is_floating_point():
+        if value.dtype.kind != "f":
             raise Bad(f"{path}: {key}: expected floating point numbers, found {value.dtype}")
     return path, dict(state)
 
@@ -104,9 +136,9 @@ class Branch:
             raise Bad(f"{self.path}: {key} is missing; the file has {', '.join(sorted(self.state)[:8])}{', ...' * (len(self.state) > 8)}")
         value = self.state.pop(key)
         wanted = "(" + ",".join("any" if n is None else str(n) for n in shape) + ")"
-        if value.dim() != len(shape) or any(n is not None and n != m for n, m in zip(shape, value.shape)) or 0 in value.shape:
+        if value.ndim != len(shape) or any(n is not None and n != m for n, m in zip(shape, value.shape)) or 0 in value.shape:
             raise Bad(f"{self.path}: {key}: expected {wanted}, found ({','.join(map(str, value.shape))})")
-        value = value.detach().to(torch.float32).numpy()
+        value = np.ascontiguousarray(value, np.float32)
         if not np.isfinite(value).all():
             raise Bad(f"{self.path}: {key}: has numbers that are not finite")
         return value
