@@ -190,7 +190,7 @@ TEST(even_selection_by_its_definition)
       CHECK(dn_even_selection(m.p, m.v, area, 20, got, &spacing, scratch, NULL) == DN_OK && spacing == 4097);
       for (i = 0; i < 20; i++) CHECK(got[i] == i);
       CHECK(dn_even_selection(m.p, m.v, 0.0, 20, got, &spacing, scratch, NULL) == DN_OK && spacing == 4097);
-      CHECK(dn_even_selection(m.p, m.v, NAN, 20, got, &spacing, scratch, NULL) == DN_OK && spacing == 4097);
+      CHECK(dn_even_selection(m.p, m.v, (double)NAN, 20, got, &spacing, scratch, NULL) == DN_OK && spacing == 4097);
    }
    AT_LEAST(done, 15, "selections");
    test_aligned_free(scratch);
@@ -289,7 +289,7 @@ TEST(eigenvectors)
    AT_LEAST(done, 600, "eigenvectors");
 }
 /* distances made from known factors plus noise */
-static float *factor_data(size_t rows, size_t pairs, size_t factors, uint64_t *seed)
+static float *factor_data(size_t rows, size_t pairs, size_t factors, float noise, uint64_t *seed)
 {
    float *d = (float *)test_block(4 * rows * pairs), *l = (float *)test_block(4 * rows * factors), *a = (float *)test_block(4 * pairs * factors);
    size_t i, j, k;
@@ -299,7 +299,7 @@ static float *factor_data(size_t rows, size_t pairs, size_t factors, uint64_t *s
       for (j = 0; j < pairs; j++) {
          float sum = 0.3f + 0.1f * (float)i;
          for (k = 0; k < factors; k++) sum += l[i * factors + k] * a[j * factors + k] / (float)(k + 1);
-         d[i * pairs + j] = 0.01f * (sum + (0.05f + 0.2f * (float)(i % 5)) * (test_uniform(seed, -1, 1) + test_uniform(seed, -1, 1)));
+         d[i * pairs + j] = 0.01f * (sum + (noise + 0.2f * (float)(i % 5)) * (test_uniform(seed, -1, 1) + test_uniform(seed, -1, 1)));
       }
    free(l), free(a);
    return d;
@@ -331,7 +331,7 @@ TEST(factor_likelihood_never_falls)
    uint64_t seed = 11;
    size_t s, k, rounds = 0;
    for (s = 0; s < sizeof sizes / sizeof *sizes; s++) {
-      float *d = factor_data(sizes[s][0], sizes[s][1], sizes[s][2] > 3 ? 3 : sizes[s][2], &seed);
+      float *d = factor_data(sizes[s][0], sizes[s][1], sizes[s][2] > 3 ? 3 : sizes[s][2], 0.05f, &seed);
       fit f;
       dn_error e;
       if (CHECK_MSG(fit_run(&f, d, sizes[s][0], sizes[s][1], sizes[s][2], NULL, &e) == DN_OK, "%s", e.info)) {
@@ -379,7 +379,7 @@ TEST(factor_likelihood_by_definition_and_at_its_top)
 {
    uint64_t seed = 21;
    size_t k, tried = 0;
-   float *d = factor_data(14, 50, 2, &seed);
+   float *d = factor_data(14, 50, 2, 0.05f, &seed);
    fit f;
    if (CHECK(fit_run(&f, d, 14, 50, 2, NULL, NULL) == DN_OK)) {
       double top = likelihood(d, 14, 50, 2, &f), other;
@@ -404,7 +404,7 @@ TEST(factor_projection_equals_a_direct_solve)
 {
    uint64_t seed = 31;
    size_t rows = 40, pairs = 25, n = 3, i, j, k, c, done = 0;
-   float *d = factor_data(rows, pairs, n, &seed), alpha[3];
+   float *d = factor_data(rows, pairs, n, 0.05f, &seed), alpha[3];
    fit f;
    if (CHECK(fit_run(&f, d, rows, pairs, n, NULL, NULL) == DN_OK))
       for (c = 0; c < pairs; c++) { /* (I + L^T Psi^-1 L) alpha = L^T Psi^-1 (d - mean), by elimination */
@@ -434,14 +434,17 @@ TEST(factor_projection_equals_a_direct_solve)
    free(d);
    AT_LEAST(done, 75, "factors");
 }
-TEST(factor_starts_agree) /* on data that determine the fit: more pairs than numbers in a column of L */
+TEST(factor_starts_agree)
+/* On data that determine the fit: many pairs, no row nearly without noise. Elsewhere starts need not agree: where the
+   likelihood is nearly flat the rule by which a fit ends stops it early (with noise from 0.05 here L was seen to differ by
+   a hundredth of its largest entry), and with more factors than stand out it has several tops. */
 {
    static const size_t sizes[][3] = {{24, 200, 3}, {40, 160, 2}, {30, 250, 3}};
    uint64_t seed = 41;
    size_t s, k, starts, agreed = 0;
    for (s = 0; s < sizeof sizes / sizeof *sizes; s++) {
       size_t rows = sizes[s][0], pairs = sizes[s][1], n = sizes[s][2];
-      float *d = factor_data(rows, pairs, n, &seed), start[40];
+      float *d = factor_data(rows, pairs, n, 0.4f, &seed), start[40];
       fit f;
       if (CHECK(fit_run(&f, d, rows, pairs, n, NULL, NULL) == DN_OK))
          for (starts = 0; starts < 4; starts++) {
@@ -470,7 +473,7 @@ static int stop_at_three(void *user, const char *stage, float done) { (void)stag
 TEST(factor_odd_inputs)
 {
    uint64_t seed = 51;
-   float *d = factor_data(6, 8, 2, &seed), start[6] = {1, 1, 1, 0, 1, 1};
+   float *d = factor_data(6, 8, 2, 0.05f, &seed), start[6] = {1, 1, 1, 0, 1, 1};
    size_t k, bytes = dn_factor_scratch(6, 8, 2);
    void *scratch = test_aligned(bytes);
    dn_progress progress;
@@ -1093,7 +1096,7 @@ TEST(shape_prefixes_flips_and_allocations)
 TEST(shape_sizes)
 {
    body b;
-   size_t size, table, bytes, scratch, k;
+   size_t size, table, bytes = 0, scratch = 0, k;
    unsigned char *file;
    dn_tensors *t;
    dn_shape *s;
