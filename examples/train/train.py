@@ -479,11 +479,13 @@ class Trainer:
     def export(self):
         """the averaged network as deformnet.h loads it"""
         o, chars = self.o, sorted({c.character.name for c in self.truth.train})
+        own = [c for c in chars if "_warp_" not in c]  # warp.py's names
+        warped = len(chars) - len(own)
         meta = {"deformnet.version": "1", "deformnet.arch": o.arch.split(":")[0], "deformnet.features": o.features,
                 "deformnet.frame": o.frame, "deformnet.joints": ",".join(self.truth.joints), "deformnet.unit": "1",
                 "deformnet.licence": o.licence,
-                "deformnet.trained_on": f"{self.truth.poses} simulated poses of {len(chars)} characters ({' '.join(chars)}), "
-                                        f"{self.elapsed / 60:.0f} minutes, {self.step} steps, seed {o.seed}"}
+                "deformnet.trained_on": f"{self.truth.poses} simulated poses of {len(chars) - warped} characters ({' '.join(own)}) and "
+                                        f"{warped} warped copies, {self.elapsed / 60:.0f} minutes, {self.step} steps, seed {o.seed}"}
         if self.net.pools:
             meta["deformnet.pooling"] = "rest"
         tensors = {k: v.detach().cpu() for k, v in self.average.state_dict().items()}
