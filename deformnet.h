@@ -829,8 +829,8 @@ typedef struct dn_garment_report { /* what bind found; nothing here is an error 
                DN_BAD_SHAPE: alphas, betas and thetas do not add up to what the model reads
     cost       weld and association, near linear in both meshes; "rest" pooling runs the network once up to its pools
     threads    re-entrant */
-DN_API dn_garment *dn_garment_create(const dn_garment_desc *desc, const dn_allocator *allocator, dn_garment_report *report,
-                                     dn_error *err);
+DN_API dn_garment *dn_garment_create(const dn_garment_desc *desc, const dn_allocator *allocator,
+                                     dn_garment_report *report, dn_error *err);
 /*  after the last frame that uses it; NULL is allowed; does nothing to a garment made by dn_garment_init */
 DN_API void dn_garment_free(dn_garment *garment);
 /*  dn_garment_size, dn_garment_init - the same without an allocator
@@ -840,7 +840,8 @@ DN_API void dn_garment_free(dn_garment *garment);
     errors     as dn_garment_create; DN_TOO_SMALL names both sizes; *garment is NULL then */
 DN_API dn_result dn_garment_size(const dn_garment_desc *desc, size_t *bytes, size_t *scratch, dn_error *err);
 DN_API dn_result dn_garment_init(const dn_garment_desc *desc, void *memory, size_t bytes, void *scratch,
-                                 size_t scratch_bytes, dn_garment **garment, dn_garment_report *report, dn_error *err);
+                                 size_t scratch_bytes, dn_garment **garment, dn_garment_report *report,
+                                    dn_error *err);
 
 typedef struct dn_garment_view {   /* what a garment holds; do not write */
    size_t vertices, nodes;         /* V and N of the garment */
@@ -934,8 +935,9 @@ DN_API void dn_garment_stage_coarse(const dn_garment *garment, const dn_garment_
                                     const dn_parallel *parallel, const dn_probe *probe);
 DN_API void dn_garment_stage_refine(const dn_garment *garment, const dn_garment_pose *pose, void *scratch,
                                     const dn_parallel *parallel, const dn_probe *probe);
-DN_API dn_result dn_garment_stage_output(const dn_garment *garment, const dn_garment_pose *pose, dn_garment_output *out,
-                                         void *scratch, const dn_parallel *parallel, dn_error *err);
+DN_API dn_result dn_garment_stage_output(const dn_garment *garment, const dn_garment_pose *pose,
+                                         dn_garment_output *out, void *scratch, const dn_parallel *parallel,
+                                         dn_error *err);
 typedef struct dn_garment_nodes {     /* what the stages left in scratch, model space, until the next call that uses it */
    const float *followed;             /* (N,3) after follow */
    const float *coarse;               /* (N,3) after coarse */
@@ -1085,14 +1087,15 @@ typedef struct dn_edges {  /* a mesh's edges as MeshCNN numbers them (Hanocka 20
     skipped    NULL, or (T): the skipped triangles, ascending, as many as edges->skipped
     scratch    dn_edges_scratch(nodes, T) bytes; SIZE_MAX: does not fit */
 DN_API size_t dn_edges_scratch(size_t nodes, size_t triangles);
-DN_API void dn_edges_build(const float *positions, const uint32_t *triangle, size_t triangles, size_t nodes, uint32_t *ends,
-                           uint32_t *ring, uint32_t *first, uint32_t *at, uint32_t *skipped, dn_edges *edges, void *scratch);
+DN_API void dn_edges_build(const float *positions, const uint32_t *triangle, size_t triangles, size_t nodes,
+                           uint32_t *ends, uint32_t *ring, uint32_t *first, uint32_t *at, uint32_t *skipped,
+                           dn_edges *edges, void *scratch);
 /*  y_e = (v_i + v_j) / 2 over the ends of e: v (N,width) -> y (E,width) */
-DN_API void dn_vertex_to_edge(const dn_edges *edges, const float *v, size_t v_stride, size_t width, float *y, size_t y_stride,
-                              const dn_parallel *parallel);
+DN_API void dn_vertex_to_edge(const dn_edges *edges, const float *v, size_t v_stride, size_t width, float *y,
+                              size_t y_stride, const dn_parallel *parallel);
 /*  y_i = the mean of x_e over the edges of i, 0 when it has none: x (E,width) -> y (N,width) */
-DN_API void dn_edge_to_vertex(const dn_edges *edges, const float *x, size_t x_stride, size_t width, float *y, size_t y_stride,
-                              const dn_parallel *parallel);
+DN_API void dn_edge_to_vertex(const dn_edges *edges, const float *x, size_t x_stride, size_t width, float *y,
+                              size_t y_stride, const dn_parallel *parallel);
 
 /*  dn_meshconv - MeshCNN convolution: y_e = act(bn(W [x_e, x_a + x_c, x_b + x_d, |x_a - x_c|, |x_b - x_d|] + b)), rows of
     missing neighbours zero. The rows of five are built a tile at a time; sums of 16 terms in float are added in double. */
@@ -1112,10 +1115,10 @@ DN_API void dn_meshconv_pack(dn_meshconv *layer, size_t in, size_t out, const fl
 /*  bytes for up to that many workers (0 counts as 1), 64-byte aligned */
 DN_API size_t dn_meshconv_scratch(const dn_meshconv *layer, unsigned workers);
 /*  x (E,in) -> y (E,out), strides in floats; y must not overlap x */
-DN_API void dn_meshconv_ref(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
-                            size_t y_stride);
-DN_API void dn_meshconv_run(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
-                            size_t y_stride, void *scratch, const dn_parallel *parallel);
+DN_API void dn_meshconv_ref(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride,
+                            float *y, size_t y_stride);
+DN_API void dn_meshconv_run(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride,
+                            float *y, size_t y_stride, void *scratch, const dn_parallel *parallel);
 
 /*  channel pool (N table 5): in place, the first channels / 5 channels become their maximum over all rows */
 DN_API void dn_channel_pool(float *x, size_t x_stride, size_t rows, size_t channels, const dn_parallel *parallel);
@@ -1123,8 +1126,8 @@ DN_API void dn_channel_pool(float *x, size_t x_stride, size_t rows, size_t chann
 DN_API void dn_edge_softmax(float *x, size_t x_stride, size_t rows, size_t width, const dn_parallel *parallel);
 /*  skinning-based pooling: y_j = sum_e A_ej x_e / sum_e A_ej, a sum under 1e-10 counts as 1                N 1
     attention (E,J), x (E,width) -> y (J,width), packed; sums in double */
-DN_API void dn_skinning_pool(const float *attention, size_t joints, const float *x, size_t x_stride, size_t edges, size_t width,
-                             float *y, const dn_parallel *parallel);
+DN_API void dn_skinning_pool(const float *attention, size_t joints, const float *x, size_t x_stride, size_t edges,
+                             size_t width, float *y, const dn_parallel *parallel);
 
 /*  dn_skeleton_linear - skeleton-aware layer: y = act(W x + b) over the rows of all joints, joint after joint, in which a
     joint sees only those at most 2 steps from it in the tree. Only these blocks of W are kept: 122 of 24 x 24 for SMPL's
@@ -1140,12 +1143,14 @@ typedef struct dn_skeleton_linear {
 /*  parents (J), -1 for roots, else below J. 0 when a size is 0 or does not fit */
 DN_API size_t dn_skeleton_linear_size(const int32_t *parents, size_t joints, size_t in, size_t out);
 /*  weight (J out, J in) row-major; bias (J out) or NULL; any activation but softmax; memory is kept by the layer */
-DN_API void dn_skeleton_linear_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in, size_t out,
-                                    const float *weight, const float *bias, dn_activation activation, void *memory);
+DN_API void dn_skeleton_linear_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in,
+                                    size_t out, const float *weight, const float *bias, dn_activation activation,
+                                    void *memory);
 /*  x (J in) -> y (J out); y must not overlap x. The twin reads the whole matrix and skips what the tree forbids */
 DN_API void dn_skeleton_linear_ref(const int32_t *parents, size_t joints, size_t in, size_t out, const float *weight,
                                    const float *bias, dn_activation activation, const float *x, float *y);
-DN_API void dn_skeleton_linear_run(const dn_skeleton_linear *layer, const float *x, float *y, const dn_parallel *parallel);
+DN_API void dn_skeleton_linear_run(const dn_skeleton_linear *layer, const float *x, float *y,
+                                   const dn_parallel *parallel);
 
 /* --- a character. Immutable once made: any number of threads may pose it, each with its own scratch. */
 typedef struct dn_blend dn_blend;
@@ -1182,9 +1187,10 @@ typedef struct dn_blend_view {   /* what it holds; do not write. What it points 
 /*  dn_blend_create - rig an unrigged mesh: weights, skeleton, shapes and masks (N 1-5)
 
     model      a neuralblendshapes one; must outlive the blend
-    errors     NULL; DN_UNSUPPORTED (another kind of model: the text says which call takes it), DN_BAD_MESH (no vertices, an
-               index out of range, a position that is not finite), DN_BAD_VALUE (weld_distance; or what came out is not
-               finite), DN_CANCELLED, DN_NO_MEMORY: nothing is kept. A mesh without edges is legal: all on joint 0
+    errors     NULL; DN_UNSUPPORTED (another kind of model: the text says which call takes it), DN_BAD_MESH (no
+               vertices, too many to index, an index out of range, a position that is not finite), DN_BAD_VALUE
+               (weld_distance; or what came out is not finite), DN_CANCELLED, DN_NO_MEMORY: nothing is kept. A mesh
+               without edges is legal: all on joint 0
     cost       full size: 2.7 M multiplications an edge, three edges a vertex
     memory     full size, closed mesh of 12,000 vertices: 98 MB while it runs, beside the model; 4 MB kept. Layer by layer over
                all edges, so two rows of 256 and a slice of 64 channels an edge; rows of 512 + 24 are never whole
@@ -1201,8 +1207,8 @@ DN_API void dn_blend_free(dn_blend *blend);
     errors     as dn_blend_create; DN_TOO_SMALL names both sizes; *blend is NULL then */
 DN_API dn_result dn_blend_size(const dn_model *model, const dn_blend_desc *desc, size_t *bytes, size_t *scratch,
                                dn_error *err);
-DN_API dn_result dn_blend_init(const dn_model *model, const dn_blend_desc *desc, void *memory, size_t bytes, void *scratch,
-                               size_t scratch_bytes, dn_blend **blend, dn_error *err);
+DN_API dn_result dn_blend_init(const dn_model *model, const dn_blend_desc *desc, void *memory, size_t bytes,
+                               void *scratch, size_t scratch_bytes, dn_blend **blend, dn_error *err);
 /*  fills *view. Re-entrant, cannot fail */
 DN_API void dn_blend_describe(const dn_blend *blend, dn_blend_view *view);
 
@@ -1210,7 +1216,7 @@ DN_API void dn_blend_describe(const dn_blend *blend, dn_blend_view *view);
 
     rotations     (S,9) local, row-major
     coefficients  (S-1,B): row J is joint J+1
-    scratch       dn_blend_scratch_size bytes
+    scratch       dn_blend_scratch_size bytes, 64-byte aligned
     threads       re-entrant; no allocation, as everything below */
 DN_API void dn_blend_coefficients(const dn_blend *blend, const float *rotations, float *coefficients, void *scratch);
 /*  sum_j sum_i alpha_ij m_j B_i of every vertex (N 5), rest space: -> displacement (V,3), stride in bytes, 0: 12 */
@@ -1240,11 +1246,12 @@ typedef struct dn_blend_output { /* any pointer may be NULL; strides in bytes, 0
                written in full); DN_TOO_SMALL: nothing is written
     equation   p = sum_s w_s P_s [v + strength sum_j sum_i alpha_ij m_j B_i; 1] + translation                     N 2, 3, 5
     threads    re-entrant; no allocation; bits independent of parallel */
-DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, const dn_blend_output *out, void *scratch,
-                               size_t scratch_bytes, const dn_parallel *parallel, dn_error *err);
+DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, const dn_blend_output *out,
+                               void *scratch, size_t scratch_bytes, const dn_parallel *parallel, dn_error *err);
 DN_API size_t dn_blend_scratch_size(const dn_blend *blend);
 /*  the same as an allocated block, given back by dn_scratch_free(scratch, *bytes, allocator); NULL and DN_NO_MEMORY */
-DN_API void *dn_blend_scratch_create(const dn_blend *blend, const dn_allocator *allocator, size_t *bytes, dn_error *err);
+DN_API void *dn_blend_scratch_create(const dn_blend *blend, const dn_allocator *allocator, size_t *bytes,
+                                     dn_error *err);
 #endif /* DEFORMNET_H */
 
 #if defined(DEFORMNET_IMPLEMENTATION) && !defined(DN__IMPLEMENTED)
@@ -5827,7 +5834,8 @@ static const dn_tensor *dn__want(dn__loader *l, const char *name, unsigned rank,
       return NULL;
    }
    if (t->format != DN_ST_F32 && t->format != DN_ST_F16 && t->format != DN_ST_BF16) {
-      dn__load_fail(l, DN_BAD_TYPE, name, t->format == DN_ST_I32 ? ": expected F32, F16 or BF16, file has I32" : ": expected F32, F16 or BF16, file has another type");
+      dn__load_fail(l, DN_BAD_TYPE, name, t->format == DN_ST_I32 ? ": expected F32, F16 or BF16, file has I32"
+                    : ": expected F32, F16 or BF16, file has another type");
       return NULL;
    }
    return t;
@@ -5915,7 +5923,8 @@ static size_t dn__add_linear(dn__loader *l, const char *name, size_t *in, size_t
    if (dn_tensors_find(l->file, full)) bias = dn__floats(l, dn__want(l, full, 1, b->out, 0));
    has_bn = dn__batchnorm(l, name, b->out, &bn);
    memory = dn__take(&l->memory, dn_linear_size(b->in, b->out), 1);
-   if (l->packing && !l->failed) dn_linear_pack(&b->linear, b->in, b->out, weight, bias, has_bn ? &bn : NULL, act, memory);
+   if (l->packing && !l->failed)
+      dn_linear_pack(&b->linear, b->in, b->out, weight, bias, has_bn ? &bn : NULL, act, memory);
    return b->out;
 }
 /* A GAT block by name: K and F from att_dst, B from self.weight (absent: a plain layer) */
@@ -5957,7 +5966,8 @@ static size_t dn__add_gat(dn__loader *l, const char *name, size_t *in, dn_activa
    has_bn = dn__batchnorm(l, name, b->out, &bn);
    memory = dn__take(&l->memory, dn_gat_size(b->in, heads, features, selfs), 1);
    if (l->packing && !l->failed)
-      dn_gat_pack(&b->gat, b->in, heads, features, selfs, f_lin, f_dst, f_src, f_self, has_bn ? &bn : NULL, act, memory);
+      dn_gat_pack(&b->gat, b->in, heads, features, selfs, f_lin, f_dst, f_src, f_self, has_bn ? &bn : NULL, act,
+                  memory);
    return b->out;
 }
 /* The branch's pool, prefix.pool; it starts at the next block */
@@ -5993,7 +6003,8 @@ static void dn__add_branch(dn__loader *l, const char *prefix, size_t which, size
 }
 
 /* pre.N, gat.N or post.N as many as the file has, from 0 without gaps */
-static size_t dn__add_chain(dn__loader *l, const char *stem, dn__kind kind, size_t *first_in, size_t width, size_t *count)
+static size_t dn__add_chain(dn__loader *l, const char *stem, dn__kind kind, size_t *first_in, size_t width,
+                            size_t *count)
 {
    size_t n;
    for (n = 0; !l->failed; n++) {
@@ -6006,7 +6017,8 @@ static size_t dn__add_chain(dn__loader *l, const char *stem, dn__kind kind, size
          dn__load_fail(l, DN_UNSUPPORTED, name, ": more than 64 layers of one kind");
          break;
       }
-      width = kind == DN__LINEAR ? dn__add_linear(l, name, &in, 0, DN_ACT_TANH) : dn__add_gat(l, name, &in, DN_ACT_TANH);
+      width = kind == DN__LINEAR ? dn__add_linear(l, name, &in, 0, DN_ACT_TANH)
+         : dn__add_gat(l, name, &in, DN_ACT_TANH);
       if (*first_in == 0) *first_in = in;
    }
    *count = n;
@@ -6051,7 +6063,8 @@ static void dn__add_tail(dn__loader *l, const char *prefix, size_t in, dn_activa
 }
 /* Local and global side by side (T 3.3, 3.13): `locals` blocks as a dense module; pool, global.0, global.1, unpool,
    global.2. Returns the width of both. */
-static size_t dn__add_local_global(dn__loader *l, const char *prefix, size_t which, size_t locals, size_t in, dn_activation act)
+static size_t dn__add_local_global(dn__loader *l, const char *prefix, size_t which, size_t locals, size_t in,
+                                   dn_activation act)
 {
    char stem[DN__NAME];
    size_t first = l->model->block_count, local, global;
@@ -6175,13 +6188,16 @@ static void dn__load_features(dn__loader *l, dn__stage *stage, const char *key)
       size_t i, n = sizeof dn__feature_names / sizeof *dn__feature_names, fit;
       while (*end && *end != ',') end++;
       for (i = 0; i < n; i++)
-         if (strlen(dn__feature_names[i].name) == (size_t)(end - s) && !memcmp(s, dn__feature_names[i].name, (size_t)(end - s)))
+         if (strlen(dn__feature_names[i].name) == (size_t)(end - s) &&
+             !memcmp(s, dn__feature_names[i].name, (size_t)(end - s)))
             break;
       if (i < n && garment && dn__feature_names[i].feature == DN_GEODESIC) i = n; /* a garment is not solid */
       fit = garment && !stage->fit ? dn__fit_of(s, end) : 0;
       if (i == n && !fit)
-         dn__meta_fail(l, key, s, garment ? "position, relative, normal, distance, and fit:n at most once" : "position, relative, normal, geodesic, distance");
-      else if (stage->feature_count == DN__MAX_FEATURES) dn__load_fail(l, DN_UNSUPPORTED, key, ": more than 16 features");
+         dn__meta_fail(l, key, s, garment ? "position, relative, normal, distance, and fit:n at most once"
+                       : "position, relative, normal, geodesic, distance");
+      else if (stage->feature_count == DN__MAX_FEATURES)
+         dn__load_fail(l, DN_UNSUPPORTED, key, ": more than 16 features");
       else stage->features[stage->feature_count++] = i < n ? dn__feature_names[i].feature : DN_FIT;
       if (fit) stage->fit = fit;
       s = *end ? end + 1 : NULL;
@@ -6223,7 +6239,9 @@ static size_t dn__load_joints(dn__loader *l, const dn__stage *stage, const char 
       if (stage->features[i] == DN_GEODESIC || stage->features[i] == DN_DISTANCE) wide++;
       else narrow += stage->features[i] == DN_FIT ? stage->fit : 3;
    }
-   if (wide) found = stage->row_width > narrow && (stage->row_width - narrow) % wide == 0 ? (stage->row_width - narrow) / wide : 0;
+   if (wide)
+      found = stage->row_width > narrow && (stage->row_width - narrow) % wide == 0
+         ? (stage->row_width - narrow) / wide : 0;
    if (wide ? found == 0 || (joints && found != joints) : stage->row_width != narrow) {
       char line[160];
       dn__text t = dn__text_of(line, sizeof line);
@@ -6287,7 +6305,8 @@ static void dn__load_scales(dn__loader *l, dn__stage *stage, const char *prefix)
    mean = dn__maybe(l, mean_name, 3);
    std = dn__maybe(l, std_name, 3);
    if (l->packing && !l->failed)
-      for (i = 0; i < 3; i++) stage->output_mean[i] = mean ? mean[i] : 0.0f, stage->output_std[i] = std ? std[i] : 1.0f;
+      for (i = 0; i < 3; i++)
+         stage->output_mean[i] = mean ? mean[i] : 0.0f, stage->output_std[i] = std ? std[i] : 1.0f;
 }
 
 /* One run of the builder: metadata, layers, scales. model is the real one when packing, a stand-in when measuring. */
@@ -6314,10 +6333,12 @@ static void dn__load_all(dn__loader *l, size_t blocks)
    if (m->info.arch != DN_NEURALBLENDSHAPES) dn__load_features(l, &m->stage[0], "deformnet.features");
    if (two) dn__load_features(l, &m->stage[1], "deformnet.features.detail");
    s = dn__meta(l, "deformnet.frame", "model");
-   if (!dn__name_equal(s, "model") && !dn__name_equal(s, "root")) dn__meta_fail(l, "deformnet.frame", s, "model, root");
+   if (!dn__name_equal(s, "model") && !dn__name_equal(s, "root"))
+      dn__meta_fail(l, "deformnet.frame", s, "model, root");
    m->info.root_frame = dn__name_equal(s, "root");
    s = dn__meta(l, "deformnet.pooling", "dynamic");
-   if (!dn__name_equal(s, "dynamic") && !dn__name_equal(s, "rest")) dn__meta_fail(l, "deformnet.pooling", s, "dynamic, rest");
+   if (!dn__name_equal(s, "dynamic") && !dn__name_equal(s, "rest"))
+      dn__meta_fail(l, "deformnet.pooling", s, "dynamic, rest");
    m->info.pooling = dn__name_equal(s, "rest") ? DN_POOL_REST : DN_POOL_DYNAMIC;
    s = dn__meta(l, "deformnet.unit", "1");
    m->info.unit = dn__decimal(s);
@@ -6374,7 +6395,8 @@ static dn_result dn__load(const dn_tensors *file, void *memory, size_t *bytes, v
       *blocks = stand_in.block_count;
       *bytes = dn__add(l.memory.used, dn__round(dn__mul(*blocks, sizeof(dn__block)), DN__ALIGN));
       *scratch_bytes = dn__max(l.temp_peak, DN__ALIGN);
-      return *bytes == SIZE_MAX || *scratch_bytes == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_model, SIZE_MAX, "sizes overflow") : DN_OK;
+      return *bytes == SIZE_MAX || *scratch_bytes == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_model,
+                                                                         SIZE_MAX, "sizes overflow") : DN_OK;
    }
    dn__copy_dense(l.model);
    {
@@ -6400,8 +6422,8 @@ DN_API dn_result dn_model_size(const dn_tensors *file, size_t *bytes, size_t *sc
    DN_ASSERT(file && bytes && scratch);
    return dn__load(file, NULL, bytes, NULL, scratch, &blocks, NULL, err);
 }
-DN_API dn_result dn_model_init(const dn_tensors *file, void *memory, size_t bytes, void *scratch, size_t scratch_bytes,
-                               dn_model **model, dn_error *err)
+DN_API dn_result dn_model_init(const dn_tensors *file, void *memory, size_t bytes, void *scratch,
+                               size_t scratch_bytes, dn_model **model, dn_error *err)
 {
    size_t need = 0, need_scratch = 0, blocks = 0;
    dn_result r;
@@ -6409,9 +6431,12 @@ DN_API dn_result dn_model_init(const dn_tensors *file, void *memory, size_t byte
    *model = NULL;
    r = dn__load(file, NULL, &need, NULL, &need_scratch, &blocks, NULL, err);
    if (r) return r;
-   if (bytes < need) return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_model, SIZE_MAX, "memory: ", bytes, " bytes given, needed ", need, NULL);
+   if (bytes < need)
+      return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_model, SIZE_MAX, "memory: ", bytes, " bytes given, needed ",
+                            need, NULL);
    if (scratch_bytes < need_scratch)
-      return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_model, SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", need_scratch, NULL);
+      return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_model, SIZE_MAX, "scratch: ", scratch_bytes,
+                            " bytes given, needed ", need_scratch, NULL);
    return dn__load(file, memory, &bytes, scratch, &scratch_bytes, &blocks, model, err);
 }
 DN_API dn_model *dn_model_load(const void *file, size_t size, const dn_allocator *allocator, dn_error *err)
@@ -6423,13 +6448,17 @@ DN_API dn_model *dn_model_load(const void *file, size_t size, const dn_allocator
    if (dn_tensors_size(file, size, &table_bytes, err)) return NULL;
    table = dn__alloc(allocator, table_bytes);
    if (!table) {
-      dn__fail_sizes(err, DN_NO_MEMORY, dn__where_model, SIZE_MAX, "tensor table of ", table_bytes, NULL, 0, " bytes");
+      dn__fail_sizes(err, DN_NO_MEMORY, dn__where_model, SIZE_MAX, "tensor table of ", table_bytes, NULL, 0,
+                     " bytes");
       return NULL;
    }
-   if (!dn_tensors_open(file, size, table, table_bytes, &tensors, err) && !dn_model_size(tensors, &bytes, &scratch_bytes, err)) {
+   if (!dn_tensors_open(file, size, table, table_bytes, &tensors, err) &&
+       !dn_model_size(tensors, &bytes, &scratch_bytes, err)) {
       memory = dn__alloc(allocator, bytes);
       scratch = memory ? dn__alloc(allocator, scratch_bytes) : NULL;
-      if (!scratch) dn__fail_sizes(err, DN_NO_MEMORY, dn__where_model, SIZE_MAX, "model of ", bytes, " bytes and scratch of ", scratch_bytes, " bytes");
+      if (!scratch)
+         dn__fail_sizes(err, DN_NO_MEMORY, dn__where_model, SIZE_MAX, "model of ", bytes, " bytes and scratch of ",
+                        scratch_bytes, " bytes");
       else dn_model_init(tensors, memory, bytes, scratch, scratch_bytes, &model, err);
    }
    dn__release(allocator, scratch, scratch_bytes);
@@ -6477,7 +6506,8 @@ DN_API dn_model *dn_model_load_file(const char *path, const dn_allocator *alloca
    if (!f) dn__file_fail(err, DN_IO, path, "cannot open ");
    else if (size == SIZE_MAX) dn__file_fail(err, DN_IO, path, "cannot find the length of ");
    else if (size == 0) dn__file_fail(err, DN_TRUNCATED, path, "found 0 bytes, expected at least 8 in ");
-   else if (!(bytes = (unsigned char *)dn__alloc(allocator, size))) dn__file_fail(err, DN_NO_MEMORY, path, "no memory for the bytes of ");
+   else if (!(bytes = (unsigned char *)dn__alloc(allocator, size)))
+      dn__file_fail(err, DN_NO_MEMORY, path, "no memory for the bytes of ");
    else if (fread(bytes, 1, size, f) != size) dn__file_fail(err, DN_IO, path, "cannot read all of ");
    else model = dn_model_load(bytes, size, allocator, err);
    dn__release(allocator, bytes, size);
@@ -6518,7 +6548,8 @@ static void dn__clusters_layout(dn_clusters *c, size_t nodes, size_t neighbours,
 }
 /* rest (branches): contractions found at bind, or NULL when there are none (dynamic pooling, and bind itself looking
    for them). neighbours = 2E. */
-static void dn__pool_layout(dn__net *n, size_t branches, size_t nodes, size_t neighbours, const dn_clusters *rest, dn__arena *a)
+static void dn__pool_layout(dn__net *n, size_t branches, size_t nodes, size_t neighbours, const dn_clusters *rest,
+                            dn__arena *a)
 {
    size_t k;
    float *score;
@@ -6570,11 +6601,13 @@ typedef struct dn__run { /* what every runner needs at hand */
    dn_clusters *found;   /* (branches) or NULL. Bind's search: run up to the pools only, contractions go here */
 } dn__run;
 
-static void dn__tap(const dn__run *r, const char *name, const float *rows, size_t first, size_t count, size_t width, size_t stride)
+static void dn__tap(const dn__run *r, const char *name, const float *rows, size_t first, size_t count, size_t width,
+                    size_t stride)
 {
    if (r->probe && r->probe->tap) r->probe->tap(r->probe->user, name, rows, first, count, width, stride);
 }
-static void dn__run_block(const dn__run *r, const dn__block *b, const dn_graph *g, const float *x, size_t x_stride, float *y, size_t y_stride)
+static void dn__run_block(const dn__run *r, const dn__block *b, const dn_graph *g, const float *x, size_t x_stride,
+                          float *y, size_t y_stride)
 {
    if (b->kind == DN__LINEAR) dn_linear_run(&b->linear, x, x_stride, g->nodes, y, y_stride, r->par);
    else dn_gat_run(&b->gat, g, x, x_stride, y, y_stride, r->n->gat, r->par);
@@ -6614,7 +6647,8 @@ static void dn__run_tail(const dn__run *r, const dn__block *b, const float *x, s
 }
 
 /* `count` GAT blocks as a dense module in the first `width` columns of rows (T 3.6); taps each block's columns */
-static void dn__run_dense(const dn__run *r, size_t first_block, const dn_gat *blocks, size_t count, float *rows, size_t stride, size_t width)
+static void dn__run_dense(const dn__run *r, size_t first_block, const dn_gat *blocks, size_t count, float *rows,
+                          size_t stride, size_t width)
 {
    size_t i, at = width - blocks[0].in;
    dn_dense_run(blocks, count, r->g, rows, stride, width, r->n->gat, r->par);
@@ -6647,7 +6681,8 @@ static void dn__run_densegats(const dn__run *r, const float *rows, float *y)
       else { /* a block may not write over its own input: through the side rows */
          dn__copy_job c;
          dn__run_block(r, into, r->g, n->wide, stride, n->side, into->out);
-         c.x = n->side, c.x_stride = into->out, c.y = n->wide + width - into->out, c.y_stride = stride, c.width = into->out;
+         c.x = n->side, c.x_stride = into->out, c.y = n->wide + width - into->out, c.y_stride = stride,
+            c.width = into->out;
          dn__for(r->par, r->g->nodes, DN__TILE, dn__copy_range, &c);
       }
       dn__run_dense(r, 2 + 7 * k, r->m->dense + 6 * k, 6, n->wide, stride, width);
@@ -6673,7 +6708,8 @@ static int dn__run_pool(const dn__run *r, size_t which, const float *x, size_t s
    return 1;
 }
 /* n->coarse[0] (M,width) back to the nodes: y (N,width) */
-static void dn__run_unpool(const dn__run *r, size_t which, const dn_clusters *c, size_t width, float *y, size_t stride)
+static void dn__run_unpool(const dn__run *r, size_t which, const dn_clusters *c, size_t width, float *y,
+                           size_t stride)
 {
    const dn__branch *q = &r->m->branch[which];
    dn_pool_scatter(&q->pool, c, r->n->coarse[0], width, width, r->g->nodes, y, stride, r->par);
@@ -6847,19 +6883,19 @@ static void dn__garment_net_layout(dn__net *n, const dn_model *m, size_t s, size
       n->wide_width = dn__max(b[0].out, b[2].out);
       n->side_width = dn__max(b[1].out, b[3].out);
    } else if (m->info.arch == DN_GARFITNET) {
-      size_t before = 0, after = 0;
+      size_t before = 0, after = 0, x = b[1].in + b[1].out;
       parser = b + 2;
       pooled = 2;
-      n->coarse_width = b[1].in + b[1].out;
+      n->coarse_width = x; /* what the pools gather */
       for (k = 0; k < 2; k++) {
          const dn__block *global = b + m->branch[k].first + m->branch[k].locals;
-         before = dn__max(before, global[-1].in + global[-1].out - n->coarse_width);
+         before = dn__max(before, global[-1].in + global[-1].out - x);
          after = dn__max(after, global[2].out);
          n->side_width = dn__max(n->side_width, global[1].out);
          n->coarse_width = dn__max(n->coarse_width, dn__max(global[0].out, global[1].out));
          n->tile_width = dn__max(n->tile_width, dn__tail_width(global + 3));
       }
-      n->wide_width = before + b[1].in + b[1].out + after;
+      n->wide_width = before + x + after;
    } else if (s == 0) {
       size_t beside = 0;
       for (k = 0; k < 2; k++) {
@@ -7066,7 +7102,8 @@ static dn_result dn__bind_fail(const dn__bind *b, dn_result code, const char *wh
    return dn__fail_sizes(b->err, code, b->where, index, what, index, NULL, 0, problem);
 }
 /* "triangle 7: vertex index 99, expected below 42" */
-static dn_result dn__bind_range(const dn__bind *b, dn_result code, const char *what, size_t at, const char *found, size_t value, size_t limit)
+static dn_result dn__bind_range(const dn__bind *b, dn_result code, const char *what, size_t at, const char *found,
+                                size_t value, size_t limit)
 {
    char line[240];
    dn__text t = dn__text_of(line, sizeof line);
@@ -7110,7 +7147,8 @@ static size_t dn__stride(size_t given, size_t packed) { return given ? given : p
 static float dn__set_weight(const dn_skin_set *s, size_t v, size_t k)
 {
    size_t size = dn__type_size(s->weight_type);
-   return dn__weight_at(s->weights, s->weight_type, v * dn__stride(s->weight_stride, s->influences * size) + k * size);
+   return dn__weight_at(s->weights, s->weight_type, v * dn__stride(s->weight_stride,
+                                                                   s->influences * size) + k * size);
 }
 static size_t dn__set_joint(const dn_skin_set *s, size_t v, size_t k)
 {
@@ -7123,7 +7161,8 @@ static void dn__position_at(const dn_mesh *m, size_t v, float p[3])
 }
 
 /* What the caller must get right is asserted; what may come from a file is checked in the steps below. */
-static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, const char *where, int bare, dn_error *err)
+static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, const char *where,
+                               int bare, dn_error *err)
 {
    const dn_mesh *m = &desc->mesh;
    size_t v, s, k, i;
@@ -7138,25 +7177,34 @@ static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_
    b->joints = desc->skeleton.joints;
    if (model && model->info.arch > DN_MULTIRESGNET) {
       char line[120];
-      dn__join3(line, sizeof line, "the model is of the kind ", model->info.arch_name, dn__is_garment(model) ? ", which dn_garment_create takes" : ", which dn_blend_create takes");
+      dn__join3(line, sizeof line, "the model is of the kind ", model->info.arch_name,
+                dn__is_garment(model) ? ", which dn_garment_create takes" : ", which dn_blend_create takes");
       return dn__fail(err, DN_UNSUPPORTED, where, SIZE_MAX, line);
    }
    if (m->vertices == 0) return dn__fail(err, DN_BAD_MESH, where, SIZE_MAX, "no vertices");
-   if (!bare && (b->joints == 0 || m->skin_sets == 0)) return dn__fail(err, DN_BAD_SKIN, where, SIZE_MAX, "no joints or no skin weights: the mesh is not skinned");
+   if (!bare && (b->joints == 0 || m->skin_sets == 0))
+      return dn__fail(err, DN_BAD_SKIN, where, SIZE_MAX, "no joints or no skin weights: the mesh is not skinned");
    if (m->vertices > DN__MOST || m->triangles > DN__MOST)
-      return dn__fail_sizes(err, DN_BAD_MESH, where, SIZE_MAX, m->vertices > DN__MOST ? "vertices: found " : "triangles: found ",
-                            m->vertices > DN__MOST ? m->vertices : m->triangles, ", expected at most ", DN__MOST, NULL);
-   if (b->joints > DN_MAX_DIM) return dn__fail_sizes(err, DN_BAD_SKIN, where, SIZE_MAX, "joints: found ", b->joints, ", expected at most ", DN_MAX_DIM, NULL);
+      return dn__fail_sizes(err, DN_BAD_MESH, where, SIZE_MAX, m->vertices > DN__MOST ? "vertices: found "
+                            : "triangles: found ", m->vertices > DN__MOST ? m->vertices : m->triangles,
+                            ", expected at most ", DN__MOST, NULL);
+   if (b->joints > DN_MAX_DIM)
+      return dn__fail_sizes(err, DN_BAD_SKIN, where, SIZE_MAX, "joints: found ", b->joints, ", expected at most ",
+                            DN_MAX_DIM, NULL);
    DN_ASSERT(m->positions && (bare || m->skin) && (m->triangles == 0 || m->indices));
    DN_ASSERT(m->triangles == 0 || m->index_type == DN_U16 || m->index_type == DN_U32);
    for (s = 0; !bare && s < m->skin_sets; s++) {
       if (m->skin[s].influences == 0) continue;
       DN_ASSERT(m->skin[s].joints && m->skin[s].weights);
       DN_ASSERT(m->skin[s].joint_type == DN_U8 || m->skin[s].joint_type == DN_U16 || m->skin[s].joint_type == DN_U32);
-      DN_ASSERT(m->skin[s].weight_type == DN_F32 || m->skin[s].weight_type == DN_U8N || m->skin[s].weight_type == DN_U16N);
+      DN_ASSERT(m->skin[s].weight_type == DN_F32 || m->skin[s].weight_type == DN_U8N ||
+                m->skin[s].weight_type == DN_U16N);
    }
-   if (desc->resolution > 512) return dn__fail_sizes(err, DN_BAD_VALUE, where, SIZE_MAX, "resolution ", desc->resolution, ", at most ", 512, NULL);
-   if (!dn__finite(desc->weld_distance)) return dn__fail(err, DN_BAD_VALUE, where, SIZE_MAX, "weld_distance is not finite");
+   if (desc->resolution > 512)
+      return dn__fail_sizes(err, DN_BAD_VALUE, where, SIZE_MAX, "resolution ", desc->resolution, ", at most ", 512,
+                            NULL);
+   if (!dn__finite(desc->weld_distance))
+      return dn__fail(err, DN_BAD_VALUE, where, SIZE_MAX, "weld_distance is not finite");
    if (bare) return DN_OK;
    for (v = 0; v < m->vertices; v++) { /* how many influences are really used */
       for (i = 0, s = 0; s < m->skin_sets; s++)
@@ -7183,7 +7231,8 @@ static size_t dn__frame_bytes(const dn_model *m, size_t vertices, size_t nodes, 
 /* dn_geodesic_scratch before there are nodes: what it needs depends on the bounding box only. Welding over a distance
    moves each face of the box in by at most that much; where the longest side shrinks, the cells do, and the other sides
    take more of them. */
-static size_t dn__geodesic_scratch_box(float box[6], size_t nodes, float weld_distance, unsigned resolution, unsigned workers)
+static size_t dn__geodesic_scratch_box(float box[6], size_t nodes, float weld_distance, unsigned resolution,
+                                       unsigned workers)
 {
    size_t corners;
    double side[3], longest = 0.0, least;
@@ -7230,10 +7279,13 @@ static void dn__bind_memory(dn__bind *b, dn__arena *a)
             if (p[c] > box[3 + c]) box[3 + c] = p[c];
          }
       }
-      work = dn__max(work, dn__geodesic_scratch_box(box, V, b->desc->weld_distance, dn__resolution(b->desc), workers));
+      work = dn__max(work, dn__geodesic_scratch_box(box, V, b->desc->weld_distance, dn__resolution(b->desc),
+                                                    workers));
    }
    if (b->wants_clusters) /* the network up to its pool, on the rest pose */
-      work = dn__max(work, dn__add(dn__mul(b->joints, 12 * sizeof(float) + DN__ALIGN), dn__frame_bytes(b->model, V, V, neighbours, b->joints, NULL, b->desc->skinning == DN_DQS, workers)));
+      work = dn__max(work, dn__add(dn__mul(b->joints, 12 * sizeof(float) + DN__ALIGN),
+                                   dn__frame_bytes(b->model, V, V, neighbours, b->joints, NULL,
+                                                   b->desc->skinning == DN_DQS, workers)));
    b->work_bytes = work;
    b->work = dn__take(a, work, 1);
 }
@@ -7272,10 +7324,12 @@ static dn_result dn__bind_skin(dn__bind *b)
       float *weight = b->weight + v * b->influences;
       size_t n = 0;
       double sum = 0.0;
-      if (b->influences) memset(joint, 0, b->influences * sizeof *joint), memset(weight, 0, b->influences * sizeof *weight);
+      if (b->influences)
+         memset(joint, 0, b->influences * sizeof *joint), memset(weight, 0, b->influences * sizeof *weight);
       dn__position_at(m, v, b->positions + 3 * v);
       for (k = 0; k < 3; k++)
-         if (!dn__finite(b->positions[3 * v + k])) return dn__bind_fail(b, DN_BAD_MESH, "vertex ", v, ": its position is not finite");
+         if (!dn__finite(b->positions[3 * v + k]))
+            return dn__bind_fail(b, DN_BAD_MESH, "vertex ", v, ": its position is not finite");
       if (b->bare) continue;
       for (s = 0; s < m->skin_sets; s++)
          for (k = 0; k < m->skin[s].influences; k++) {
@@ -7307,7 +7361,8 @@ static dn_result dn__bind_triangles(dn__bind *b)
    for (t = 0; t < b->triangles; t++)
       for (c = 0; c < 3; c++) {
          size_t v = dn__index_at(m->indices, m->index_type, (3 * t + c) * size);
-         if (v >= b->vertices) return dn__bind_range(b, DN_BAD_MESH, "triangle ", t, ": vertex index ", v, b->vertices);
+         if (v >= b->vertices)
+            return dn__bind_range(b, DN_BAD_MESH, "triangle ", t, ": vertex index ", v, b->vertices);
          b->triangle[3 * t + c] = b->node_of_vertex[v];
       }
    return DN_OK;
@@ -7318,7 +7373,8 @@ static void dn__bind_drop_degenerate(dn__bind *b) /* after the graph has their p
    b->kept = 0;
    for (t = 0; t < b->triangles; t++) {
       uint32_t *q = b->triangle + 3 * t, *to = b->triangle + 3 * b->kept;
-      const float *x = b->positions + 3 * (size_t)b->first_vertex[q[0]], *y = b->positions + 3 * (size_t)b->first_vertex[q[1]];
+      const float *x = b->positions + 3 * (size_t)b->first_vertex[q[0]],
+         *y = b->positions + 3 * (size_t)b->first_vertex[q[1]];
       const float *z = b->positions + 3 * (size_t)b->first_vertex[q[2]];
       double u[3], w[3];
       int c, flat;
@@ -7339,12 +7395,14 @@ static dn_result dn__bind_prepare(dn__bind *b)
    dn_result r;
    if (dn__step(b, "weld", 0.0f)) return dn__cancelled(b);
    if ((r = dn__bind_skin(b)) != DN_OK) return r;
-   b->nodes = dn__weld(b->positions, b->vertices, b->bare ? NULL : b->joint, b->bare ? NULL : b->weight, b->influences, b->desc->weld_distance, b->node_of_vertex,
-                       b->first_vertex, &b->report.seams_apart, b->work, b->desc->progress);
+   b->nodes = dn__weld(b->positions, b->vertices, b->bare ? NULL : b->joint, b->bare ? NULL : b->weight,
+                       b->influences, b->desc->weld_distance, b->node_of_vertex, b->first_vertex,
+                       &b->report.seams_apart, b->work, b->desc->progress);
    if (b->nodes == SIZE_MAX) return dn__cancelled(b);
    if ((r = dn__bind_triangles(b)) != DN_OK) return r;
    if (dn__step(b, "graph", 0.0f)) return dn__cancelled(b);
-   if (dn__graph_build(b->triangle, b->triangles, b->nodes, b->first, b->next, &g, b->work, b->desc->progress)) return dn__cancelled(b);
+   if (dn__graph_build(b->triangle, b->triangles, b->nodes, b->first, b->next, &g, b->work, b->desc->progress))
+      return dn__cancelled(b);
    b->neighbours = b->first[b->nodes];
    dn__bind_drop_degenerate(b);
    b->report.vertices = b->vertices;
@@ -7382,12 +7440,15 @@ static dn_result dn__bind_joints(dn__bind *b, uint32_t *map, uint32_t *fold)
    for (k = 0; k < b->joints; k++) fold[k] = (uint32_t)k;
    if (!want) { /* by index */
       if (b->model_joints && b->model_joints != b->joints)
-         return dn__fail_sizes(b->err, DN_MISSING_JOINT, b->where, SIZE_MAX, "the skeleton has ", b->joints, " joints, the model ", b->model_joints, " and no names");
+         return dn__fail_sizes(b->err, DN_MISSING_JOINT, b->where, SIZE_MAX, "the skeleton has ", b->joints,
+                               " joints, the model ", b->model_joints, " and no names");
       for (s = 0; s < b->model_joints; s++) map[s] = (uint32_t)s;
       b->report.joints_matched = b->model_joints;
       return DN_OK;
    }
-   if (!sk->names) return dn__fail(b->err, DN_MISSING_JOINT, b->where, SIZE_MAX, "the model names its joints, the skeleton has no names");
+   if (!sk->names)
+      return dn__fail(b->err, DN_MISSING_JOINT, b->where, SIZE_MAX,
+                      "the model names its joints, the skeleton has no names");
    for (k = 0; k < b->joints; k++) fold[k] = DN__NONE;
    for (s = 0; s < b->model_joints; s++) {
       map[s] = DN__NONE;
@@ -7421,7 +7482,8 @@ static dn_result dn__bind_joint_rest(dn__bind *b, const uint32_t *map, float *re
       dn__load_matrix(sk->inverse_bind + floats * (size_t)map[s], sk->matrix, m);
       for (c = 0; c < 3; c++) t[c] = -m[4 * c + 3];
       if (!dn__finite12(m) || !dn__unskin(m, t, rest + 3 * s))
-         return dn__bind_fail(b, DN_BAD_SKIN, "joint ", (size_t)map[s], ": its inverse bind matrix cannot be inverted");
+         return dn__bind_fail(b, DN_BAD_SKIN, "joint ", (size_t)map[s],
+                              ": its inverse bind matrix cannot be inverted");
    }
    return DN_OK;
 }
@@ -7433,15 +7495,20 @@ static dn_result dn__bind_geodesic(dn__bind *b, const dn_rig *r, float *geodesic
    if (b->desc->geodesic) {
       size_t i, n = b->nodes * b->model_joints;
       if (b->desc->geodesic_nodes != b->nodes)
-         return dn__fail_sizes(b->err, DN_BAD_SHAPE, b->where, SIZE_MAX, "geodesic: ", b->desc->geodesic_nodes, " nodes given, the mesh has ", b->nodes, NULL);
+         return dn__fail_sizes(b->err, DN_BAD_SHAPE, b->where, SIZE_MAX, "geodesic: ", b->desc->geodesic_nodes,
+                               " nodes given, the mesh has ", b->nodes, NULL);
       for (i = 0; i < n; i++)
-         if (!dn__finite(b->desc->geodesic[i])) return dn__bind_fail(b, DN_BAD_VALUE, "geodesic: node ", i / b->model_joints, " has a distance that is not finite");
+         if (!dn__finite(b->desc->geodesic[i]))
+            return dn__bind_fail(b, DN_BAD_VALUE, "geodesic: node ", i / b->model_joints,
+                                 " has a distance that is not finite");
       memcpy(geodesic, b->desc->geodesic, n * sizeof *geodesic);
       return DN_OK;
    }
-   result = dn_geodesic(r->view.rest, b->nodes, r->view.triangle, b->kept, r->view.joint_rest, b->model_joints, dn__resolution(b->desc), geodesic,
-                        &b->report.solid_cells, &b->report.cell, b->work, b->work_bytes, b->desc->parallel, b->desc->progress);
-   return result == DN_OK ? DN_OK : result == DN_CANCELLED ? dn__cancelled(b) : dn__fail(b->err, result, b->where, SIZE_MAX, "geodesic distances");
+   result = dn_geodesic(r->view.rest, b->nodes, r->view.triangle, b->kept, r->view.joint_rest, b->model_joints,
+                        dn__resolution(b->desc), geodesic, &b->report.solid_cells, &b->report.cell, b->work,
+                        b->work_bytes, b->desc->parallel, b->desc->progress);
+   return result == DN_OK ? DN_OK : result == DN_CANCELLED ? dn__cancelled(b)
+      : dn__fail(b->err, result, b->where, SIZE_MAX, "geodesic distances");
 }
 static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r);
 
@@ -7467,7 +7534,8 @@ static dn_result dn__bind_finish(dn__bind *b, dn_rig *r)
    memcpy((uint32_t *)v->triangle, b->triangle, 3 * b->kept * sizeof(uint32_t));
    memcpy((uint32_t *)v->graph.first, b->first, (N + 1) * sizeof(uint32_t));
    memcpy((uint32_t *)v->graph.next, b->next, b->neighbours * sizeof(uint32_t));
-   for (i = 0; i < N; i++) memcpy((float *)v->rest + 3 * i, b->positions + 3 * (size_t)b->first_vertex[i], 3 * sizeof(float));
+   for (i = 0; i < N; i++)
+      memcpy((float *)v->rest + 3 * i, b->positions + 3 * (size_t)b->first_vertex[i], 3 * sizeof(float));
    dn__corners_build(v->triangle, b->kept, N, (uint32_t *)r->corner_first, (uint32_t *)r->corner_tri);
    if ((result = dn__bind_joints(b, map, fold)) != DN_OK) return result;
    if ((result = dn__bind_joint_rest(b, map, (float *)v->joint_rest)) != DN_OK) return result;
@@ -7479,7 +7547,8 @@ static dn_result dn__bind_finish(dn__bind *b, dn_rig *r)
    return DN_OK;
 }
 
-DN_API dn_result dn_rig_size(const dn_model *model, const dn_rig_desc *desc, size_t *bytes, size_t *scratch, dn_error *err)
+DN_API dn_result dn_rig_size(const dn_model *model, const dn_rig_desc *desc, size_t *bytes, size_t *scratch,
+                             dn_error *err)
 {
    dn__bind b;
    dn__arena kept = dn__arena_of(NULL, 0), temp = dn__arena_of(NULL, 0);
@@ -7492,7 +7561,8 @@ DN_API dn_result dn_rig_size(const dn_model *model, const dn_rig_desc *desc, siz
    dn__bind_memory(&b, &temp);
    *bytes = kept.used;
    *scratch = temp.used;
-   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_bind, SIZE_MAX, "sizes overflow") : DN_OK;
+   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_bind, SIZE_MAX,
+                                                                "sizes overflow") : DN_OK;
 }
 /* a prepared bind into memory of exactly the right size */
 static dn_result dn__rig_build(dn__bind *b, void *memory, size_t bytes, dn_rig **rig)
@@ -7500,27 +7570,34 @@ static dn_result dn__rig_build(dn__bind *b, void *memory, size_t bytes, dn_rig *
    dn__arena kept = dn__arena_of(memory, bytes);
    dn_rig *r = (dn_rig *)dn__take(&kept, 1, sizeof(dn_rig));
    dn_result result;
-   if (!r) return dn__fail_sizes(b->err, DN_TOO_SMALL, dn__where_bind, SIZE_MAX, "memory: ", bytes, " bytes given, too small", 0, NULL);
+   if (!r)
+      return dn__fail_sizes(b->err, DN_TOO_SMALL, dn__where_bind, SIZE_MAX, "memory: ", bytes,
+                            " bytes given, too small", 0, NULL);
    memset(r, 0, sizeof *r);
    dn__rig_layout(r, b, b->nodes, b->neighbours, b->kept, &kept);
-   if (kept.used > bytes) return dn__fail_sizes(b->err, DN_TOO_SMALL, dn__where_bind, SIZE_MAX, "memory: ", bytes, " bytes given, needed ", kept.used, NULL);
+   if (kept.used > bytes)
+      return dn__fail_sizes(b->err, DN_TOO_SMALL, dn__where_bind, SIZE_MAX, "memory: ", bytes,
+                            " bytes given, needed ", kept.used, NULL);
    r->bytes = kept.used;
    if ((result = dn__bind_finish(b, r)) != DN_OK) return result;
    r->view.bytes = r->bytes;
    *rig = r;
    return DN_OK;
 }
-static dn_result dn__bind_start(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, void *scratch, size_t scratch_bytes, dn_error *err)
+static dn_result dn__bind_start(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, void *scratch,
+                                size_t scratch_bytes, dn_error *err)
 {
    dn__arena temp = dn__arena_of(scratch, scratch_bytes);
    dn_result r = dn__bind_open(b, model, desc, dn__where_bind, 0, err);
    if (r != DN_OK) return r;
    dn__bind_memory(b, &temp);
-   if (temp.used > scratch_bytes) return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_bind, SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", temp.used, NULL);
+   if (temp.used > scratch_bytes)
+      return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_bind, SIZE_MAX, "scratch: ", scratch_bytes,
+                            " bytes given, needed ", temp.used, NULL);
    return dn__bind_prepare(b);
 }
-DN_API dn_result dn_rig_init(const dn_model *model, const dn_rig_desc *desc, void *memory, size_t bytes, void *scratch,
-                             size_t scratch_bytes, dn_rig **rig, dn_report *report, dn_error *err)
+DN_API dn_result dn_rig_init(const dn_model *model, const dn_rig_desc *desc, void *memory, size_t bytes,
+                             void *scratch, size_t scratch_bytes, dn_rig **rig, dn_report *report, dn_error *err)
 {
    dn__bind b;
    dn_result r;
@@ -7531,8 +7608,8 @@ DN_API dn_result dn_rig_init(const dn_model *model, const dn_rig_desc *desc, voi
    if (r == DN_OK && report) *report = b.report;
    return r;
 }
-DN_API dn_rig *dn_rig_create(const dn_model *model, const dn_rig_desc *desc, const dn_allocator *allocator, dn_report *report,
-                             dn_error *err)
+DN_API dn_rig *dn_rig_create(const dn_model *model, const dn_rig_desc *desc, const dn_allocator *allocator,
+                             dn_report *report, dn_error *err)
 {
    dn__bind b;
    dn_rig *rig = NULL;
@@ -7541,7 +7618,8 @@ DN_API dn_rig *dn_rig_create(const dn_model *model, const dn_rig_desc *desc, con
    if (dn_rig_size(model, desc, &bytes, &scratch_bytes, err) != DN_OK) return NULL;
    scratch = dn__alloc(allocator, scratch_bytes);
    if (!scratch) {
-      dn__fail_sizes(err, DN_NO_MEMORY, dn__where_bind, SIZE_MAX, "bind scratch of ", scratch_bytes, NULL, 0, " bytes");
+      dn__fail_sizes(err, DN_NO_MEMORY, dn__where_bind, SIZE_MAX, "bind scratch of ", scratch_bytes, NULL, 0,
+                     " bytes");
       return NULL;
    }
    if (dn__bind_start(&b, model, desc, scratch, scratch_bytes, err) == DN_OK) { /* welded: the rig's size is exact now */
@@ -7595,8 +7673,8 @@ typedef struct dn__frame {    /* the scratch, carved the same way by every stage
    dn__net net;
 } dn__frame;
 
-static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, size_t nodes, size_t neighbours, size_t joints,
-                             const dn_clusters *rest, int dual, unsigned workers, dn__arena *a)
+static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, size_t nodes, size_t neighbours,
+                             size_t joints, const dn_clusters *rest, int dual, unsigned workers, dn__arena *a)
 {
    size_t width = m ? m->info.row_width : 0;
    memset(f, 0, sizeof *f);
@@ -7634,10 +7712,12 @@ static dn__frame dn__frame_of(const dn_rig *r, void *scratch, unsigned workers)
 }
 DN_API size_t dn_scratch_size(const dn_rig *r, unsigned workers)
 {
-   return dn__frame_bytes(r->model, r->view.vertices, r->view.nodes, r->view.graph.first[r->view.nodes], r->view.joints,
-                          r->has_clusters ? &r->clusters : NULL, r->skinning == DN_DQS, workers ? workers : 1);
+   return dn__frame_bytes(r->model, r->view.vertices, r->view.nodes, r->view.graph.first[r->view.nodes],
+                          r->view.joints, r->has_clusters ? &r->clusters : NULL, r->skinning == DN_DQS,
+                          workers ? workers : 1);
 }
-DN_API void *dn_scratch_create(const dn_rig *r, unsigned workers, const dn_allocator *allocator, size_t *bytes, dn_error *err)
+DN_API void *dn_scratch_create(const dn_rig *r, unsigned workers, const dn_allocator *allocator, size_t *bytes,
+                               dn_error *err)
 {
    void *scratch;
    DN_ASSERT(r && bytes);
@@ -7659,10 +7739,13 @@ static void dn__skin_range(void *job, size_t begin, size_t end, unsigned worker)
    (void)worker;
    if (j->pose->skinned) {
       size_t stride = dn__stride(j->pose->skinned_stride, 12);
-      for (v = begin; v < end; v++) memcpy(j->f->skinned + 3 * v, (const unsigned char *)j->pose->skinned + v * stride, 12);
+      for (v = begin; v < end; v++)
+         memcpy(j->f->skinned + 3 * v, (const unsigned char *)j->pose->skinned + v * stride, 12);
    } else if (r->skinning == DN_DQS)
-      dn__dqs_range(r->rest_vertices, r->view.skin_joint, r->view.skin_weight, r->view.influences, j->f->dual, begin, end, j->f->skinned);
-   else dn__lbs_run(r->kernel, r->rest_vertices, r->view.skin_joint, r->view.skin_weight, r->view.influences, j->f->palette, j->f->wide, begin, end, j->f->skinned);
+      dn__dqs_range(r->rest_vertices, r->view.skin_joint, r->view.skin_weight, r->view.influences, j->f->dual, begin,
+                    end, j->f->skinned);
+   else dn__lbs_run(r->kernel, r->rest_vertices, r->view.skin_joint, r->view.skin_weight, r->view.influences,
+                    j->f->palette, j->f->wide, begin, end, j->f->skinned);
 }
 DN_API dn_result dn_stage_skin(const dn_rig *rig, const dn_pose *pose, void *scratch, size_t scratch_bytes,
                                const dn_parallel *parallel, dn_error *err)
@@ -7671,7 +7754,9 @@ DN_API dn_result dn_stage_skin(const dn_rig *rig, const dn_pose *pose, void *scr
    dn__skin_job job;
    size_t s, floats, need = dn_scratch_size(rig, dn__workers(parallel));
    DN_ASSERT(pose && pose->palette && scratch && ((uintptr_t)scratch & 63) == 0);
-   if (scratch_bytes < need) return dn__fail_sizes(err, DN_TOO_SMALL, "frame", SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", need, NULL);
+   if (scratch_bytes < need)
+      return dn__fail_sizes(err, DN_TOO_SMALL, "frame", SIZE_MAX, "scratch: ", scratch_bytes,
+                            " bytes given, needed ", need, NULL);
    f = dn__frame_of(rig, scratch, dn__workers(parallel));
    floats = dn__matrix_floats(pose->matrix);
    f.state[0] = 0;
@@ -7708,8 +7793,8 @@ static void dn__framed_range(void *job, size_t begin, size_t end, unsigned worke
       for (k = 0; k < 3; k++) p[k] = (double)f->coarse[3 * i + k];
       if (!j->r->model) continue;
       if (f->state[2]) /* the same sum again, not yet rounded */
-         dn__lbs_point(view->skin_joint + view->influences * v, view->skin_weight + view->influences * v, view->influences,
-                       f->palette, view->rest + 3 * i, p);
+         dn__lbs_point(view->skin_joint + view->influences * v, view->skin_weight + view->influences * v,
+                       view->influences, f->palette, view->rest + 3 * i, p);
       for (k = 0; k < 3; k++) {
          const float *r = f->root + k;
          double x = (double)r[0] * p[0] + (double)r[3] * p[1] + (double)r[6] * p[2]; /* R^T p */
@@ -7727,12 +7812,14 @@ static void dn__rows_range(void *job, size_t begin, size_t end, unsigned worker)
    size_t k, D = m->row_width, joints = j->r->model->info.joints;
    float *rows = f->rows;
    (void)worker;
-   dn__normals_fine_range(f->framed, f->low, v->triangle, j->r->corner_first, j->r->corner_tri, begin, end, f->normals);
+   dn__normals_fine_range(f->framed, f->low, v->triangle, j->r->corner_first, j->r->corner_tri, begin, end,
+                          f->normals);
    for (k = 0; k < m->feature_count; k++) {
       switch (m->features[k]) {
       case DN_POSITION: dn__rows_position(f->framed, begin, end, rows, D); rows += 3; break;
       case DN_RELATIVE:
-         dn__rows_relative(v->rest, v->skin_joint, v->skin_weight, v->influences, v->first_vertex, f->seen, begin, end, rows, D);
+         dn__rows_relative(v->rest, v->skin_joint, v->skin_weight, v->influences, v->first_vertex, f->seen, begin,
+                           end, rows, D);
          rows += 3;
          break;
       case DN_NORMAL: dn__rows_normal(f->normals, begin, end, rows, D); rows += 3; break;
@@ -7793,7 +7880,8 @@ static void dn__displace_range(void *job, size_t begin, size_t end, unsigned wor
       dn__rotate(j->root, d, d);
    }
 }
-static void dn__displace(const dn__stage *stage, const float root[9], float *displacement, size_t nodes, const dn_parallel *parallel)
+static void dn__displace(const dn__stage *stage, const float root[9], float *displacement, size_t nodes,
+                         const dn_parallel *parallel)
 {
    dn__scale_job job;
    job.stage = stage;
@@ -7876,7 +7964,8 @@ static void dn__node_normals_range(void *job, size_t begin, size_t end, unsigned
 {
    const dn__output_job *j = (const dn__output_job *)job;
    (void)worker;
-   dn__normals_range(j->f->framed, j->r->view.triangle, j->r->corner_first, j->r->corner_tri, begin, end, j->f->normals);
+   dn__normals_range(j->f->framed, j->r->view.triangle, j->r->corner_first, j->r->corner_tri, begin, end,
+                     j->f->normals);
 }
 static void dn__normals_out_range(void *job, size_t begin, size_t end, unsigned worker)
 {
@@ -7884,7 +7973,8 @@ static void dn__normals_out_range(void *job, size_t begin, size_t end, unsigned 
    size_t v;
    (void)worker;
    for (v = begin; v < end; v++)
-      memcpy(dn__strided(j->out->normals, dn__stride(j->out->normal_stride, 12), v), j->f->normals + 3 * (size_t)j->r->view.node_of_vertex[v], 12);
+      memcpy(dn__strided(j->out->normals, dn__stride(j->out->normal_stride, 12), v),
+             j->f->normals + 3 * (size_t)j->r->view.node_of_vertex[v], 12);
 }
 DN_API dn_result dn_stage_output(const dn_rig *rig, const dn_pose *pose, dn_output *out, void *scratch,
                                  const dn_parallel *parallel, dn_error *err)
@@ -7916,12 +8006,13 @@ DN_API dn_result dn_stage_output(const dn_rig *rig, const dn_pose *pose, dn_outp
    }
    out->fallback_nodes = f.state[0];
    if (f.state[0] == 0 && f.state[1]) return DN_OK;
-   return dn__fail_sizes(err, DN_NOT_FINITE, "frame", SIZE_MAX, f.state[1] ? "nodes plainly skinned: " : "the palette is not finite; nodes plainly skinned: ", f.state[0], " of ",
-                         rig->view.nodes, NULL);
+   return dn__fail_sizes(err, DN_NOT_FINITE, "frame", SIZE_MAX, f.state[1] ? "nodes plainly skinned: "
+                         : "the palette is not finite; nodes plainly skinned: ", f.state[0], " of ", rig->view.nodes,
+                         NULL);
 }
 
-DN_API dn_result dn_deform(const dn_rig *rig, const dn_pose *pose, dn_output *out, void *scratch, size_t scratch_bytes,
-                           const dn_parallel *parallel, dn_error *err)
+DN_API dn_result dn_deform(const dn_rig *rig, const dn_pose *pose, dn_output *out, void *scratch,
+                           size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
 {
    dn_result r = dn_stage_skin(rig, pose, scratch, scratch_bytes, parallel, err);
    if (r != DN_OK) return r;
@@ -9606,8 +9697,8 @@ static const dn__stage *dn__garment_stage(const dn_model *m, size_t k) { return 
 static int dn__reads_body_normals(const dn_model *coarse) { return coarse && dn__stage_reads(dn__garment_stage(coarse, 0), DN_NORMAL); }
 
 typedef struct dn__wear_sizes { size_t nodes, neighbours, body_nodes, joints; } dn__wear_sizes;
-static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const dn__wear_sizes *s, const dn_clusters *rest,
-                            unsigned workers, dn__arena *a)
+static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const dn__wear_sizes *s,
+                            const dn_clusters *rest, unsigned workers, dn__arena *a)
 {
    size_t k, N3 = dn__mul(s->nodes, 3), B3, joints = 0, width = 0, from, most;
    memset(f, 0, sizeof *f);
@@ -9642,7 +9733,9 @@ static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const d
    most = a->used;
    for (k = 0; k < 2; k++) { /* the posed body is not needed once the rows are written, a stage not once the next begins */
       a->used = from;
-      if (model[k]) dn__garment_net_layout(&f->net[k], model[k], model[k]->info.arch == DN_CLOTHNET ? k : 0, s->nodes, s->neighbours, k == 1 ? rest : NULL, workers, a);
+      if (model[k])
+         dn__garment_net_layout(&f->net[k], model[k], model[k]->info.arch == DN_CLOTHNET ? k : 0, s->nodes,
+                                s->neighbours, k == 1 ? rest : NULL, workers, a);
       most = dn__max(most, a->used);
    }
    a->used = most;
@@ -9656,7 +9749,8 @@ static dn__wear_sizes dn__wear_sizes_of(const dn_garment *g)
    s.joints = g->view.joints;
    return s;
 }
-static size_t dn__wear_bytes(const dn_model *const model[2], const dn__wear_sizes *s, const dn_clusters *rest, unsigned workers)
+static size_t dn__wear_bytes(const dn_model *const model[2], const dn__wear_sizes *s, const dn_clusters *rest,
+                             unsigned workers)
 {
    dn__arena a = dn__arena_of(NULL, 0);
    dn__wear f;
@@ -9676,13 +9770,15 @@ DN_API size_t dn_garment_scratch_size(const dn_garment *g, unsigned workers)
    dn__wear_sizes s = dn__wear_sizes_of(g);
    return dn__wear_bytes(g->model, &s, g->has_clusters ? g->clusters : NULL, workers ? workers : 1);
 }
-DN_API void *dn_garment_scratch_create(const dn_garment *g, unsigned workers, const dn_allocator *allocator, size_t *bytes, dn_error *err)
+DN_API void *dn_garment_scratch_create(const dn_garment *g, unsigned workers, const dn_allocator *allocator,
+                                       size_t *bytes, dn_error *err)
 {
    void *scratch;
    DN_ASSERT(g && bytes);
    *bytes = dn_garment_scratch_size(g, workers);
    scratch = dn__alloc(allocator, *bytes);
-   if (!scratch) dn__fail_sizes(err, DN_NO_MEMORY, "garment frame", SIZE_MAX, "scratch of ", *bytes, NULL, 0, " bytes");
+   if (!scratch)
+      dn__fail_sizes(err, DN_NO_MEMORY, "garment frame", SIZE_MAX, "scratch of ", *bytes, NULL, 0, " bytes");
    return scratch;
 }
 DN_API dn_garment_nodes dn_garment_nodes_of(const dn_garment *g, void *scratch)
@@ -9749,14 +9845,16 @@ static void dn__follow_range(void *job, size_t begin, size_t end, unsigned worke
       for (k = 0; k < 3; k++) f->followed[3 * i + k] = (float)own[k];
    }
 }
-DN_API dn_result dn_garment_stage_follow(const dn_garment *g, const dn_garment_pose *pose, void *scratch, size_t scratch_bytes,
-                                         const dn_parallel *parallel, dn_error *err)
+DN_API dn_result dn_garment_stage_follow(const dn_garment *g, const dn_garment_pose *pose, void *scratch,
+                                         size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
 {
    dn__wear f;
    dn__wear_job job;
    size_t s, floats, need = dn_garment_scratch_size(g, dn__workers(parallel));
    DN_ASSERT(pose && pose->palette && scratch && ((uintptr_t)scratch & 63) == 0);
-   if (scratch_bytes < need) return dn__fail_sizes(err, DN_TOO_SMALL, "garment frame", SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", need, NULL);
+   if (scratch_bytes < need)
+      return dn__fail_sizes(err, DN_TOO_SMALL, "garment frame", SIZE_MAX, "scratch: ", scratch_bytes,
+                            " bytes given, needed ", need, NULL);
    f = dn__wear_of(g, scratch, dn__workers(parallel));
    floats = dn__matrix_floats(pose->matrix);
    *f.state = 1;
@@ -9797,7 +9895,8 @@ static void dn__body_normals_range(void *job, size_t begin, size_t end, unsigned
 {
    const dn__wear_job *j = (const dn__wear_job *)job;
    (void)worker;
-   dn__normals_fine_range(j->f->body, j->f->body_low, j->g->body_triangle, j->g->body_corner_first, j->g->body_corner_tri, begin, end, j->f->body_normals);
+   dn__normals_fine_range(j->f->body, j->f->body_low, j->g->body_triangle, j->g->body_corner_first,
+                          j->g->body_corner_tri, begin, end, j->f->body_normals);
 }
 /* positions in the network's frame: the body node in the coarse stage, M_coarse in the refining one */
 static void dn__garment_framed_range(void *job, size_t begin, size_t end, unsigned worker)
@@ -9827,12 +9926,14 @@ static void dn__garment_rows_range(void *job, size_t begin, size_t end, unsigned
    size_t i, k, c, D = j->stage->row_width, joints = g->model[j->k]->info.joints;
    float *rows = f->rows;
    (void)worker;
-   if (j->k == 1) dn__normals_fine_range(f->framed, f->low, v->triangle, g->corner_first, g->corner_tri, begin, end, f->normals);
+   if (j->k == 1)
+      dn__normals_fine_range(f->framed, f->low, v->triangle, g->corner_first, g->corner_tri, begin, end, f->normals);
    for (k = 0; k < j->stage->feature_count; k++) {
       switch (j->stage->features[k]) {
       case DN_POSITION: dn__rows_position(f->framed, begin, end, rows, D); rows += 3; break;
       case DN_RELATIVE: /* r_b', in the refining stage r_b' + Delta_coarse                              T 4.7 */
-         dn__rows_relative(g->anchor, v->skin_joint, v->skin_weight, v->influences, NULL, f->seen, begin, end, rows, D);
+         dn__rows_relative(g->anchor, v->skin_joint, v->skin_weight, v->influences, NULL, f->seen, begin, end, rows,
+                           D);
          for (i = begin; i < end && j->k == 1; i++)
             for (c = 0; c < 3; c++) rows[i * D + c] += f->delta[3 * i + c];
          rows += 3;
@@ -9854,8 +9955,9 @@ static void dn__garment_rows_range(void *job, size_t begin, size_t end, unsigned
    }
 }
 /* Stage k's network, up to displacements in model space; with `found` no further than its pools */
-static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn_garment_pose *pose, size_t k, float *displacement,
-                                const dn_parallel *parallel, const dn_probe *probe, dn_clusters *found)
+static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn_garment_pose *pose, size_t k,
+                                float *displacement, const dn_parallel *parallel, const dn_probe *probe,
+                                dn_clusters *found)
 {
    const dn_model *m = g->model[k];
    const dn__stage *stage = dn__garment_stage(m, k);
@@ -9866,7 +9968,8 @@ static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn
    for (s = 0; s < 9; s++) f->root[s] = s % 4 == 0 ? 1.0f : 0.0f;
    if (m->info.root_frame) dn__root_rotation(f->palette + 12 * (size_t)at->root, f->root);
    for (s = 0; s < g->view.joints; s++)
-      dn__root_palette(f->palette + 12 * (size_t)(at->fold ? at->fold[s] : (uint32_t)s), 1, f->root, f->seen + 12 * s);
+      dn__root_palette(f->palette + 12 * (size_t)(at->fold ? at->fold[s] : (uint32_t)s), 1, f->root,
+                       f->seen + 12 * s);
    dn__posed_joints(f->seen, at->map, at->joint_rest, m->info.joints, f->posed);
    memset(&job, 0, sizeof job);
    job.g = g;
@@ -9888,11 +9991,13 @@ static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn
    run.par = parallel;
    run.probe = probe;
    run.found = found;
-   dn__tap(&run, m->info.arch != DN_CLOTHNET ? "features" : k == 0 ? "coarse.features" : "detail.features", f->rows, 0, nodes, D, D);
+   dn__tap(&run, m->info.arch != DN_CLOTHNET ? "features" : k == 0 ? "coarse.features" : "detail.features", f->rows,
+           0, nodes, D, D);
    if (run.n->shape) { /* beta, theta, alpha (T 4.3); alpha, beta, theta (C 4.3) */
       const dn_garment_view *v = &g->view;
       int cloth = m->info.arch == DN_CLOTHNET;
-      float *alpha = run.n->shape + (cloth ? 0 : v->betas + v->thetas), *beta = run.n->shape + (cloth ? v->alphas : 0);
+      float *alpha = run.n->shape + (cloth ? 0 : v->betas + v->thetas);
+      float *beta = run.n->shape + (cloth ? v->alphas : 0);
       float *theta = beta + v->betas;
       if (v->alphas) memcpy(alpha, v->alpha, v->alphas * sizeof *alpha);
       if (v->betas) memcpy(beta, v->beta, v->betas * sizeof *beta);
@@ -9923,8 +10028,8 @@ static void dn__coarse_range(void *job, size_t begin, size_t end, unsigned worke
       for (k = 0; k < 3; k++) d[k] = f->followed[3 * i + k] - f->base[3 * i + k];
    }
 }
-DN_API void dn_garment_stage_coarse(const dn_garment *g, const dn_garment_pose *pose, void *scratch, const dn_parallel *parallel,
-                                    const dn_probe *probe)
+DN_API void dn_garment_stage_coarse(const dn_garment *g, const dn_garment_pose *pose, void *scratch,
+                                    const dn_parallel *parallel, const dn_probe *probe)
 {
    dn__wear f = dn__wear_of(g, scratch, dn__workers(parallel));
    dn__wear_job job;
@@ -9932,7 +10037,8 @@ DN_API void dn_garment_stage_coarse(const dn_garment *g, const dn_garment_pose *
    job.g = g;
    job.f = &f;
    job.pose = pose;
-   if (g->model[0] && !pose->coarse_displacement) dn__garment_network(g, &f, pose, 0, f.coarse_displacement, parallel, probe, NULL);
+   if (g->model[0] && !pose->coarse_displacement)
+      dn__garment_network(g, &f, pose, 0, f.coarse_displacement, parallel, probe, NULL);
    dn__for(parallel, g->view.nodes, 1024, dn__coarse_range, &job);
 }
 
@@ -9955,8 +10061,8 @@ static void dn__refine_range(void *job, size_t begin, size_t end, unsigned worke
       for (k = 0; k < 3; k++) f->refined[3 * i + k] = dn__toward(f->followed[3 * i + k], to[k], j->strength);
    }
 }
-DN_API void dn_garment_stage_refine(const dn_garment *g, const dn_garment_pose *pose, void *scratch, const dn_parallel *parallel,
-                                    const dn_probe *probe)
+DN_API void dn_garment_stage_refine(const dn_garment *g, const dn_garment_pose *pose, void *scratch,
+                                    const dn_parallel *parallel, const dn_probe *probe)
 {
    dn__wear f = dn__wear_of(g, scratch, dn__workers(parallel));
    dn__wear_job job;
@@ -9981,7 +10087,8 @@ static void dn__garment_vertex(const dn__wear_job *j, const float *nodes, size_t
       double m[12], x[3];
       float beside[3];
       for (k = 0; k < 3; k++) beside[k] = j->g->rest_vertices[3 * v + k] - view->rest[3 * i + k];
-      dn__lbs_blend_double(view->skin_joint + i * view->influences, view->skin_weight + i * view->influences, view->influences, j->f->palette, m);
+      dn__lbs_blend_double(view->skin_joint + i * view->influences, view->skin_weight + i * view->influences,
+                           view->influences, j->f->palette, m);
       m[3] = m[7] = m[11] = 0.0;
       dn__transform_double(m, beside, x);
       for (k = 0; k < 3; k++) p[k] += (float)x[k];
@@ -10004,7 +10111,9 @@ static void dn__garment_output_range(void *job, size_t begin, size_t end, unsign
          dn__garment_vertex(j, j->f->coarse, v, p);
          memcpy(dn__strided(o->coarse, dn__stride(o->coarse_stride, 12), v), p, 12);
       }
-      if (o->displacement) memcpy(dn__strided(o->displacement, dn__stride(o->displacement_stride, 12), v), j->f->displacement + 3 * i, 12);
+      if (o->displacement)
+         memcpy(dn__strided(o->displacement, dn__stride(o->displacement_stride, 12), v), j->f->displacement + 3 * i,
+                12);
       if (o->normals) memcpy(dn__strided(o->normals, dn__stride(o->normal_stride, 12), v), j->f->normals + 3 * i, 12);
    }
 }
@@ -10012,10 +10121,11 @@ static void dn__garment_normals_range(void *job, size_t begin, size_t end, unsig
 {
    const dn__wear_job *j = (const dn__wear_job *)job;
    (void)worker;
-   dn__normals_range(j->f->refined, j->g->view.triangle, j->g->corner_first, j->g->corner_tri, begin, end, j->f->normals);
+   dn__normals_range(j->f->refined, j->g->view.triangle, j->g->corner_first, j->g->corner_tri, begin, end,
+                     j->f->normals);
 }
-DN_API dn_result dn_garment_stage_output(const dn_garment *g, const dn_garment_pose *pose, dn_garment_output *out, void *scratch,
-                                         const dn_parallel *parallel, dn_error *err)
+DN_API dn_result dn_garment_stage_output(const dn_garment *g, const dn_garment_pose *pose, dn_garment_output *out,
+                                         void *scratch, const dn_parallel *parallel, dn_error *err)
 {
    dn__wear f = dn__wear_of(g, scratch, dn__workers(parallel));
    dn__wear_job job;
@@ -10044,11 +10154,13 @@ DN_API dn_result dn_garment_stage_output(const dn_garment *g, const dn_garment_p
    out->fallback_nodes = 0;
    for (i = 0; i < g->view.nodes; i++) out->fallback_nodes += f.fell[i];
    if (out->fallback_nodes == 0 && *f.state) return DN_OK;
-   return dn__fail_sizes(err, DN_NOT_FINITE, "garment frame", SIZE_MAX, *f.state ? "nodes that took the step before: " : "the palette is not finite; nodes that took the step before: ",
-                         out->fallback_nodes, " of ", g->view.nodes, NULL);
+   return dn__fail_sizes(err, DN_NOT_FINITE, "garment frame", SIZE_MAX, *f.state
+                         ? "nodes that took the step before: "
+                         : "the palette is not finite; nodes that took the step before: ", out->fallback_nodes,
+                         " of ", g->view.nodes, NULL);
 }
-DN_API dn_result dn_garment_deform(const dn_garment *g, const dn_garment_pose *pose, dn_garment_output *out, void *scratch,
-                                   size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
+DN_API dn_result dn_garment_deform(const dn_garment *g, const dn_garment_pose *pose, dn_garment_output *out,
+                                   void *scratch, size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
 {
    dn_result r = dn_garment_stage_follow(g, pose, scratch, scratch_bytes, parallel, err);
    if (r != DN_OK) return r;
@@ -10074,7 +10186,8 @@ static dn_result dn__garment_numbers(const float *x, size_t count, const char *n
 {
    size_t i;
    for (i = 0; i < count; i++)
-      if (!dn__finite(x[i])) return dn__fail_sizes(err, DN_BAD_VALUE, dn__where_garment, i, name, i, NULL, 0, " is not finite");
+      if (!dn__finite(x[i]))
+         return dn__fail_sizes(err, DN_BAD_VALUE, dn__where_garment, i, name, i, NULL, 0, " is not finite");
    return DN_OK;
 }
 static dn_result dn__garment_model(const dn__tailor *t, size_t k)
@@ -10094,7 +10207,8 @@ static dn_result dn__garment_model(const dn__tailor *t, size_t k)
    }
    stage = dn__garment_stage(m, k);
    if (stage->fit > d->alphas)
-      return dn__fail_sizes(t->err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "alphas: found ", d->alphas, ", the model's feature fit reads ", stage->fit, NULL);
+      return dn__fail_sizes(t->err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "alphas: found ", d->alphas,
+                            ", the model's feature fit reads ", stage->fit, NULL);
    if (k == 1 && dn__add(dn__add(d->alphas, d->betas), d->thetas) != m->info.parser) {
       dn__put(&text, "alphas + betas + thetas: found ");
       dn__put_size(&text, d->alphas);
@@ -10125,7 +10239,9 @@ static dn_result dn__tailor_open(dn__tailor *t, const dn_garment_desc *d, dn_err
    if ((r = dn__bind_open(&t->body, NULL, &t->body_desc, "garment bind: body", 0, err)) != DN_OK) return r;
    if ((r = dn__bind_open(&t->garment, NULL, &t->garment_desc, "garment bind: garment", 1, err)) != DN_OK) return r;
    if (d->alphas > DN_MAX_DIM || d->betas > DN_MAX_DIM || d->thetas > DN_MAX_DIM)
-      return dn__fail_sizes(err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "alphas, betas, thetas: found ", dn__max(d->alphas, dn__max(d->betas, d->thetas)), ", expected at most ", DN_MAX_DIM, NULL);
+      return dn__fail_sizes(err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "alphas, betas, thetas: found ",
+                            dn__max(d->alphas, dn__max(d->betas, d->thetas)), ", expected at most ", DN_MAX_DIM,
+                            NULL);
    DN_ASSERT((d->alphas == 0 || d->alpha) && (d->betas == 0 || d->beta));
    if ((r = dn__garment_numbers(d->alpha, d->alphas, "alpha ", err)) != DN_OK) return r;
    if ((r = dn__garment_numbers(d->beta, d->betas, "beta ", err)) != DN_OK) return r;
@@ -10134,9 +10250,11 @@ static dn_result dn__tailor_open(dn__tailor *t, const dn_garment_desc *d, dn_err
 }
 static int dn__tailor_wants_clusters(const dn__tailor *t) { return t->model[1] && t->model[1]->info.pooling == DN_POOL_REST; }
 /* scratch of dn__garment_seat, then of dn__garment_renew: the network up to its pools on the rest pose */
-static size_t dn__renew_bytes(const dn_model *const model[2], const dn__wear_sizes *s, int wants_clusters, unsigned workers)
+static size_t dn__renew_bytes(const dn_model *const model[2], const dn__wear_sizes *s, int wants_clusters,
+                              unsigned workers)
 {
-   size_t frame = wants_clusters ? dn__add(dn__round(dn__mul(s->joints, 12 * sizeof(float)), DN__ALIGN), dn__wear_bytes(model, s, NULL, workers)) : 0;
+   size_t frame = wants_clusters ? dn__add(dn__round(dn__mul(s->joints, 12 * sizeof(float)), DN__ALIGN),
+                                           dn__wear_bytes(model, s, NULL, workers)) : 0;
    return dn__max(frame, dn_associate_scratch(s->body_nodes));
 }
 static void dn__tailor_memory(dn__tailor *t, dn__arena *a)
@@ -10226,15 +10344,18 @@ static void dn__garment_seat(dn_garment *g, void *scratch, const dn_parallel *pa
    }
 }
 /* nodes and vertices at rest, from positions (V,3) with a stride in bytes */
-static void dn__garment_place(dn_garment *g, const float *body, size_t body_stride, const float *garment, size_t garment_stride)
+static void dn__garment_place(dn_garment *g, const float *body, size_t body_stride, const float *garment,
+                              size_t garment_stride)
 {
    dn_garment_view *v = &g->view;
    size_t i;
    for (i = 0; body && i < v->body_nodes; i++)
       memcpy((float *)v->body_rest + 3 * i, (const unsigned char *)body + v->body_first_vertex[i] * body_stride, 12);
    if (!garment) return;
-   for (i = 0; i < v->vertices; i++) memcpy((float *)g->rest_vertices + 3 * i, (const unsigned char *)garment + i * garment_stride, 12);
-   for (i = 0; i < v->nodes; i++) memcpy((float *)v->rest + 3 * i, g->rest_vertices + 3 * (size_t)v->first_vertex[i], 12);
+   for (i = 0; i < v->vertices; i++)
+      memcpy((float *)g->rest_vertices + 3 * i, (const unsigned char *)garment + i * garment_stride, 12);
+   for (i = 0; i < v->nodes; i++)
+      memcpy((float *)v->rest + 3 * i, g->rest_vertices + 3 * (size_t)v->first_vertex[i], 12);
    for (g->spread = 0, i = 0; i < 3 * v->vertices; i++) {
       float x = g->rest_vertices[i], y = v->rest[3 * (size_t)v->node_of_vertex[i / 3] + i % 3];
       g->spread |= x < y || x > y;
@@ -10320,7 +10441,8 @@ static void dn__garment_copy(dn__tailor *t, dn_garment *g)
    if (v->alphas) memcpy((float *)v->alpha, t->desc->alpha, v->alphas * sizeof(float));
    if (v->betas) memcpy((float *)v->beta, t->desc->beta, v->betas * sizeof(float));
    dn__corners_build(v->triangle, c->kept, c->nodes, (uint32_t *)g->corner_first, (uint32_t *)g->corner_tri);
-   dn__corners_build(g->body_triangle, b->kept, b->nodes, (uint32_t *)g->body_corner_first, (uint32_t *)g->body_corner_tri);
+   dn__corners_build(g->body_triangle, b->kept, b->nodes, (uint32_t *)g->body_corner_first,
+                     (uint32_t *)g->body_corner_tri);
 }
 static dn_result dn__garment_coarse_rest(dn_garment *g, const float *coarse_rest, dn_error *err)
 {
@@ -10344,7 +10466,8 @@ static dn_result dn__garment_finish(dn__tailor *t, dn_garment *g)
    for (k = 0; k < 2; k++)
       if ((r = dn__garment_joints(t, g, k)) != DN_OK) return r;
    if (t->desc->coarse_rest && t->desc->coarse_rest_nodes != v->nodes)
-      return dn__fail_sizes(t->err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "coarse_rest: ", t->desc->coarse_rest_nodes, " nodes given, the garment has ", v->nodes, NULL);
+      return dn__fail_sizes(t->err, DN_BAD_SHAPE, dn__where_garment, SIZE_MAX, "coarse_rest: ",
+                            t->desc->coarse_rest_nodes, " nodes given, the garment has ", v->nodes, NULL);
    if ((r = dn__garment_coarse_rest(g, t->desc->coarse_rest, t->err)) != DN_OK) return r;
    dn__garment_place(g, t->body.positions, 12, t->garment.positions, 12);
    if (dn__step(&t->garment, "association", 0.0f)) return dn__cancelled(&t->garment);
@@ -10380,7 +10503,8 @@ DN_API dn_result dn_garment_size(const dn_garment_desc *desc, size_t *bytes, siz
    dn__tailor_memory(&t, &temp);
    *bytes = kept.used;
    *scratch = temp.used;
-   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_garment, SIZE_MAX, "sizes overflow") : DN_OK;
+   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_garment, SIZE_MAX,
+                                                                "sizes overflow") : DN_OK;
 }
 /* prepared meshes into memory of exactly the right size */
 static dn_result dn__garment_build(dn__tailor *t, void *memory, size_t bytes, dn_garment **garment)
@@ -10389,26 +10513,33 @@ static dn_result dn__garment_build(dn__tailor *t, void *memory, size_t bytes, dn
    dn__garment_sizes s = dn__garment_exact(t);
    dn_garment *g = (dn_garment *)dn__take(&kept, 1, sizeof(dn_garment));
    dn_result r;
-   if (!g) return dn__fail_sizes(t->err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "memory: ", bytes, " bytes given, too small", 0, NULL);
+   if (!g)
+      return dn__fail_sizes(t->err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "memory: ", bytes,
+                            " bytes given, too small", 0, NULL);
    memset(g, 0, sizeof *g);
    dn__garment_layout(g, t, &s, &kept);
-   if (kept.used > bytes) return dn__fail_sizes(t->err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "memory: ", bytes, " bytes given, needed ", kept.used, NULL);
+   if (kept.used > bytes)
+      return dn__fail_sizes(t->err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "memory: ", bytes,
+                            " bytes given, needed ", kept.used, NULL);
    g->view.bytes = kept.used;
    if ((r = dn__garment_finish(t, g)) != DN_OK) return r;
    *garment = g;
    return DN_OK;
 }
-static dn_result dn__tailor_start(dn__tailor *t, const dn_garment_desc *desc, void *scratch, size_t scratch_bytes, dn_error *err)
+static dn_result dn__tailor_start(dn__tailor *t, const dn_garment_desc *desc, void *scratch, size_t scratch_bytes,
+                                  dn_error *err)
 {
    dn__arena temp = dn__arena_of(scratch, scratch_bytes);
    dn_result r = dn__tailor_open(t, desc, err);
    if (r != DN_OK) return r;
    dn__tailor_memory(t, &temp);
-   if (temp.used > scratch_bytes) return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", temp.used, NULL);
+   if (temp.used > scratch_bytes)
+      return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_garment, SIZE_MAX, "scratch: ", scratch_bytes,
+                            " bytes given, needed ", temp.used, NULL);
    return dn__tailor_prepare(t);
 }
-DN_API dn_result dn_garment_init(const dn_garment_desc *desc, void *memory, size_t bytes, void *scratch, size_t scratch_bytes,
-                                 dn_garment **garment, dn_garment_report *report, dn_error *err)
+DN_API dn_result dn_garment_init(const dn_garment_desc *desc, void *memory, size_t bytes, void *scratch,
+                                 size_t scratch_bytes, dn_garment **garment, dn_garment_report *report, dn_error *err)
 {
    dn__tailor t;
    dn_result r;
@@ -10419,8 +10550,8 @@ DN_API dn_result dn_garment_init(const dn_garment_desc *desc, void *memory, size
    if (r == DN_OK && report) *report = t.report;
    return r;
 }
-DN_API dn_garment *dn_garment_create(const dn_garment_desc *desc, const dn_allocator *allocator, dn_garment_report *report,
-                                     dn_error *err)
+DN_API dn_garment *dn_garment_create(const dn_garment_desc *desc, const dn_allocator *allocator,
+                                     dn_garment_report *report, dn_error *err)
 {
    dn__tailor t;
    dn_garment *garment = NULL;
@@ -10440,7 +10571,8 @@ DN_API dn_garment *dn_garment_create(const dn_garment_desc *desc, const dn_alloc
       dn__garment_layout(&measure, &t, &s, &kept);
       bytes = kept.used;
       memory = dn__alloc(allocator, bytes);
-      if (!memory) dn__fail_sizes(err, DN_NO_MEMORY, dn__where_garment, SIZE_MAX, "garment of ", bytes, NULL, 0, " bytes");
+      if (!memory)
+         dn__fail_sizes(err, DN_NO_MEMORY, dn__where_garment, SIZE_MAX, "garment of ", bytes, NULL, 0, " bytes");
       else if (dn__garment_build(&t, memory, bytes, &garment) != DN_OK) dn__release(allocator, memory, bytes);
    }
    dn__release(allocator, scratch, scratch_bytes);
@@ -10475,13 +10607,17 @@ static dn_result dn__change_positions(const float *p, size_t stride, size_t vert
    for (v = 0; p && v < vertices; v++) {
       float x[3];
       memcpy(x, (const unsigned char *)p + v * stride, 12);
-      if (!dn__finite3(x)) return dn__fail_sizes(err, DN_BAD_MESH, "garment change", v, what, v, NULL, 0, ": its position is not finite");
+      if (!dn__finite3(x))
+         return dn__fail_sizes(err, DN_BAD_MESH, "garment change", v, what, v, NULL, 0,
+                               ": its position is not finite");
    }
    return DN_OK;
 }
-DN_API dn_result dn_garment_change(dn_garment *g, const dn_garment_changes *c, void *scratch, size_t scratch_bytes, dn_error *err)
+DN_API dn_result dn_garment_change(dn_garment *g, const dn_garment_changes *c, void *scratch, size_t scratch_bytes,
+                                   dn_error *err)
 {
-   size_t need = dn_garment_change_size(g, dn__workers(c->parallel)), k, body_stride = dn__stride(c->body_position_stride, 12);
+   size_t need = dn_garment_change_size(g, dn__workers(c->parallel)), k,
+      body_stride = dn__stride(c->body_position_stride, 12);
    size_t garment_stride = dn__stride(c->garment_position_stride, 12);
    float *joint_rest[2];
    dn_garment_view *v = &g->view;
@@ -10489,12 +10625,17 @@ DN_API dn_result dn_garment_change(dn_garment *g, const dn_garment_changes *c, v
    dn__bind b;
    dn_result r;
    DN_ASSERT(c && scratch && ((uintptr_t)scratch & 63) == 0);
-   if (scratch_bytes < need) return dn__fail_sizes(err, DN_TOO_SMALL, "garment change", SIZE_MAX, "scratch: ", scratch_bytes, " bytes given, needed ", need, NULL);
-   if ((r = dn__change_positions(c->body_positions, body_stride, v->body_vertices, "body vertex ", err)) != DN_OK) return r;
-   if ((r = dn__change_positions(c->garment_positions, garment_stride, v->vertices, "garment vertex ", err)) != DN_OK) return r;
+   if (scratch_bytes < need)
+      return dn__fail_sizes(err, DN_TOO_SMALL, "garment change", SIZE_MAX, "scratch: ", scratch_bytes,
+                            " bytes given, needed ", need, NULL);
+   if ((r = dn__change_positions(c->body_positions, body_stride, v->body_vertices, "body vertex ", err)) != DN_OK)
+      return r;
+   if ((r = dn__change_positions(c->garment_positions, garment_stride, v->vertices, "garment vertex ", err)) != DN_OK)
+      return r;
    if ((r = dn__garment_numbers(c->alpha, c->alpha ? v->alphas : 0, "alpha ", err)) != DN_OK) return r;
    if ((r = dn__garment_numbers(c->beta, c->beta ? v->betas : 0, "beta ", err)) != DN_OK) return r;
-   if ((r = dn__garment_numbers(c->coarse_rest, c->coarse_rest ? 3 * v->nodes : 0, "coarse_rest: number ", err)) != DN_OK) return r;
+   if ((r = dn__garment_numbers(c->coarse_rest, c->coarse_rest ? 3 * v->nodes : 0, "coarse_rest: number ",
+                                err)) != DN_OK) return r;
    memset(&desc, 0, sizeof desc);
    memset(&b, 0, sizeof b);
    desc.skeleton.inverse_bind = c->inverse_bind;
@@ -10510,7 +10651,8 @@ DN_API dn_result dn_garment_change(dn_garment *g, const dn_garment_changes *c, v
    }
 
    for (k = 0; k < 2 && c->inverse_bind; k++)
-      if (g->model[k]) memcpy((float *)g->joints[k].joint_rest, joint_rest[k], 3 * g->model[k]->info.joints * sizeof(float));
+      if (g->model[k])
+         memcpy((float *)g->joints[k].joint_rest, joint_rest[k], 3 * g->model[k]->info.joints * sizeof(float));
    if (c->alpha && v->alphas) memcpy((float *)v->alpha, c->alpha, v->alphas * sizeof(float));
    if (c->beta && v->betas) memcpy((float *)v->beta, c->beta, v->betas * sizeof(float));
    dn__garment_coarse_rest(g, c->coarse_rest, NULL);
@@ -11187,9 +11329,11 @@ static size_t dn__edge_slot(const dn_graph *g, uint32_t from, uint32_t to) /* of
 }
 static int dn__edge_flat(const float *positions, const uint32_t *t) /* the cross product, in double, is exactly zero */
 {
-   const float *x = positions + 3 * (size_t)t[0], *y = positions + 3 * (size_t)t[1], *z = positions + 3 * (size_t)t[2];
+   const float *x = positions + 3 * (size_t)t[0], *y = positions + 3 * (size_t)t[1],
+      *z = positions + 3 * (size_t)t[2];
    double u[3], w[3];
    int c;
+   if (t[0] == t[1] || t[1] == t[2] || t[2] == t[0]) return 1; /* even where a position is not a number */
    for (c = 0; c < 3; c++) u[c] = (double)y[c] - (double)x[c], w[c] = (double)z[c] - (double)x[c];
    return u[1] * w[2] == u[2] * w[1] && u[2] * w[0] == u[0] * w[2] && u[0] * w[1] == u[1] * w[0];
 }
@@ -11209,8 +11353,9 @@ DN_API size_t dn_edges_scratch(size_t nodes, size_t triangles)
    dn__edge_layout(&a, nodes, triangles);
    return dn__gauge(&a);
 }
-DN_API void dn_edges_build(const float *positions, const uint32_t *triangle, size_t triangles, size_t nodes, uint32_t *ends,
-                           uint32_t *ring, uint32_t *first, uint32_t *at, uint32_t *skipped, dn_edges *edges, void *scratch)
+DN_API void dn_edges_build(const float *positions, const uint32_t *triangle, size_t triangles, size_t nodes,
+                           uint32_t *ends, uint32_t *ring, uint32_t *first, uint32_t *at, uint32_t *skipped,
+                           dn_edges *edges, void *scratch)
 {
    dn__arena arena = dn__arena_of(scratch, SIZE_MAX);
    dn__edge_work w = dn__edge_layout(&arena, nodes, triangles);
@@ -11282,7 +11427,8 @@ static void dn__vertex_to_edge_range(void *job, size_t begin, size_t end, unsign
    size_t e, c;
    (void)worker;
    for (e = begin; e < end; e++) {
-      const float *p = j->x + j->edges->ends[2 * e] * j->x_stride, *q = j->x + j->edges->ends[2 * e + 1] * j->x_stride;
+      const float *p = j->x + j->edges->ends[2 * e] * j->x_stride,
+         *q = j->x + j->edges->ends[2 * e + 1] * j->x_stride;
       for (c = 0; c < j->width; c++) j->y[e * j->y_stride + c] = 0.5f * p[c] + 0.5f * q[c];
    }
 }
@@ -11300,7 +11446,8 @@ static void dn__edge_to_vertex_range(void *job, size_t begin, size_t end, unsign
       }
    }
 }
-static dn__edge_mean_job dn__edge_mean_of(const dn_edges *edges, const float *x, size_t x_stride, size_t width, float *y, size_t y_stride)
+static dn__edge_mean_job dn__edge_mean_of(const dn_edges *edges, const float *x, size_t x_stride, size_t width,
+                                          float *y, size_t y_stride)
 {
    dn__edge_mean_job j;
    j.edges = edges;
@@ -11311,14 +11458,14 @@ static dn__edge_mean_job dn__edge_mean_of(const dn_edges *edges, const float *x,
    j.width = width;
    return j;
 }
-DN_API void dn_vertex_to_edge(const dn_edges *edges, const float *v, size_t v_stride, size_t width, float *y, size_t y_stride,
-                              const dn_parallel *parallel)
+DN_API void dn_vertex_to_edge(const dn_edges *edges, const float *v, size_t v_stride, size_t width, float *y,
+                              size_t y_stride, const dn_parallel *parallel)
 {
    dn__edge_mean_job j = dn__edge_mean_of(edges, v, v_stride, width, y, y_stride);
    dn__for(parallel, edges->count, DN__GRAIN, dn__vertex_to_edge_range, &j);
 }
-DN_API void dn_edge_to_vertex(const dn_edges *edges, const float *x, size_t x_stride, size_t width, float *y, size_t y_stride,
-                              const dn_parallel *parallel)
+DN_API void dn_edge_to_vertex(const dn_edges *edges, const float *x, size_t x_stride, size_t width, float *y,
+                              size_t y_stride, const dn_parallel *parallel)
 {
    dn__edge_mean_job j = dn__edge_mean_of(edges, x, x_stride, width, y, y_stride);
    dn__for(parallel, edges->nodes, DN__GRAIN, dn__edge_to_vertex_range, &j);
@@ -11355,8 +11502,9 @@ DN_API size_t dn_meshconv_size(size_t in, size_t out)
 }
 /* Channels from .. from + in - 1 of a convolution that has `all`. The first part carries bias and shift; the sum of all
    parts is the layer. File order (out, all, 5) -> terms [x | a + c | b + d | |a - c| | |b - d|], `in` of each. */
-static void dn__meshconv_pack_part(dn_meshconv *layer, size_t all, size_t from, size_t in, size_t out, const float *weight,
-                                   const float *bias, const dn_batchnorm *bn, dn_activation activation, void *memory)
+static void dn__meshconv_pack_part(dn_meshconv *layer, size_t all, size_t from, size_t in, size_t out,
+                                   const float *weight, const float *bias, const dn_batchnorm *bn,
+                                   dn_activation activation, void *memory)
 {
    dn__arena a = dn__arena_of(memory, SIZE_MAX);
    float *panels, *folded, *zero;
@@ -11369,7 +11517,8 @@ static void dn__meshconv_pack_part(dn_meshconv *layer, size_t all, size_t from, 
       dn__fold(bn, o, &scale, &shift);
       for (c = 0; c < in; c++)
          for (k = 0; k < 5; k++)
-            *dn__conv_panel(panels, 5 * in, out, k * in + c, o) = dn__narrow(scale * (double)weight[(o * all + from + c) * 5 + k]);
+            *dn__conv_panel(panels, 5 * in, out, k * in + c, o) =
+               dn__narrow(scale * (double)weight[(o * all + from + c) * 5 + k]);
       if (from == 0) folded[o] = dn__narrow(scale * (bias ? (double)bias[o] : 0.0) + shift);
    }
    layer->in = in;
@@ -11385,8 +11534,8 @@ DN_API void dn_meshconv_pack(dn_meshconv *layer, size_t in, size_t out, const fl
 {
    dn__meshconv_pack_part(layer, in, 0, in, out, weight, bias, bn, activation, memory);
 }
-DN_API void dn_meshconv_ref(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
-                            size_t y_stride)
+DN_API void dn_meshconv_ref(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride,
+                            float *y, size_t y_stride)
 {
    size_t e, o, n, k, in = layer->in;
    for (e = 0; e < edges->count; e++) {
@@ -11395,13 +11544,16 @@ DN_API void dn_meshconv_ref(const dn_meshconv *layer, const dn_edges *edges, con
          double sum = (double)layer->bias[o];
          for (n = 0; n < in; n++) {
             float r[4], row[5];
-            for (k = 0; k < 4; k++) r[k] = edges->ring[4 * e + k] == DN_NO_EDGE ? 0.0f : x[edges->ring[4 * e + k] * x_stride + n];
+            for (k = 0; k < 4; k++)
+               r[k] = edges->ring[4 * e + k] == DN_NO_EDGE ? 0.0f : x[edges->ring[4 * e + k] * x_stride + n];
             row[0] = x[e * x_stride + n];
             row[1] = r[0] + r[2];           /* a + c */
             row[2] = r[1] + r[3];           /* b + d */
             row[3] = DN_FABSF(r[0] - r[2]); /* |a - c| */
             row[4] = DN_FABSF(r[1] - r[3]); /* |b - d| */
-            for (k = 0; k < 5; k++) sum += (double)row[k] * (double)*dn__conv_panel((float *)layer->panels, 5 * in, layer->out, k * in + n, o);
+            for (k = 0; k < 5; k++)
+               sum += (double)row[k] * (double)*dn__conv_panel((float *)layer->panels, 5 * in, layer->out,
+                                                               k * in + n, o);
          }
          to[o] = dn__activate((float)sum, layer->activation);
       }
@@ -11495,14 +11647,16 @@ static void dn__conv_range(void *job, size_t begin, size_t end, unsigned worker)
          for (i = 0; i < n; i++) {
             float *to = j->y + (begin + i) * j->y_stride + (column - j->column);
             const double *sum = w.sums + i * padded;
-            for (c = 0; c < columns; c++) to[c] = dn__activate((float)(j->add ? (double)to[c] + sum[c] : sum[c]), j->activation);
+            for (c = 0; c < columns; c++)
+               to[c] = dn__activate((float)(j->add ? (double)to[c] + sum[c] : sum[c]), j->activation);
          }
       }
-      for (i = 0; j->activation == DN_ACT_SOFTMAX && i < n; i++) dn__softmax(j->y + (begin + i) * j->y_stride, l->out);
+      for (i = 0; j->activation == DN_ACT_SOFTMAX && i < n; i++)
+         dn__softmax(j->y + (begin + i) * j->y_stride, l->out);
    }
 }
-static dn__conv_job dn__conv_of(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
-                                size_t y_stride, void *scratch)
+static dn__conv_job dn__conv_of(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride,
+                                float *y, size_t y_stride, void *scratch)
 {
    dn__conv_job j;
    j.layer = layer;
@@ -11523,8 +11677,8 @@ DN_API size_t dn_meshconv_scratch(const dn_meshconv *layer, unsigned workers)
 {
    return dn__mul(dn__conv_bytes(layer->in), workers ? workers : 1);
 }
-DN_API void dn_meshconv_run(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride, float *y,
-                            size_t y_stride, void *scratch, const dn_parallel *parallel)
+DN_API void dn_meshconv_run(const dn_meshconv *layer, const dn_edges *edges, const float *x, size_t x_stride,
+                            float *y, size_t y_stride, void *scratch, const dn_parallel *parallel)
 {
    dn__conv_job j = dn__conv_of(layer, edges, x, x_stride, y, y_stride, scratch);
    dn__for(parallel, edges->count, DN__EDGE_TILE, dn__conv_range, &j);
@@ -11536,7 +11690,8 @@ static void dn__edge_spread_range(void *job, size_t begin, size_t end, unsigned 
 {
    const dn__edge_rows_job *j = (const dn__edge_rows_job *)job;
    (void)worker;
-   for (begin = dn__max(begin, 1); begin < end; begin++) memcpy(j->x + begin * j->stride, j->x, j->width * sizeof *j->x);
+   for (begin = dn__max(begin, 1); begin < end; begin++)
+      memcpy(j->x + begin * j->stride, j->x, j->width * sizeof *j->x);
 }
 DN_API void dn_channel_pool(float *x, size_t x_stride, size_t rows, size_t channels, const dn_parallel *parallel)
 {
@@ -11599,11 +11754,12 @@ static void dn__skin_pooled_range(void *job, size_t begin, size_t end, unsigned 
          part.attention += joint;
          part.sums = sums;
          dn__skin_pool_add_range(&part, 0, 1, worker);
-         for (k = 0; k < part.width; k++) j->y[joint * j->pool.width + c + k] = dn__skin_pool_divide(sums[k], sums[part.width]);
+         for (k = 0; k < part.width; k++)
+            j->y[joint * j->pool.width + c + k] = dn__skin_pool_divide(sums[k], sums[part.width]);
       }
 }
-DN_API void dn_skinning_pool(const float *attention, size_t joints, const float *x, size_t x_stride, size_t edges, size_t width,
-                             float *y, const dn_parallel *parallel)
+DN_API void dn_skinning_pool(const float *attention, size_t joints, const float *x, size_t x_stride, size_t edges,
+                             size_t width, float *y, const dn_parallel *parallel)
 {
    dn__skin_pooled_job j;
    j.pool.attention = attention;
@@ -11625,8 +11781,8 @@ static int dn__joint_sees(const int32_t *parents, size_t a, size_t b) /* at most
    if (i == j || pa == j || pb == i || (pa >= 0 && pa == pb)) return 1;
    return (pa >= 0 && parents[pa] == j) || (pb >= 0 && parents[pb] == i);
 }
-static void dn__skeleton_carve(dn__arena *a, const int32_t *parents, size_t joints, size_t in, size_t out, uint32_t **first,
-                               uint32_t **sees, float **weight, float **bias)
+static void dn__skeleton_carve(dn__arena *a, const int32_t *parents, size_t joints, size_t in, size_t out,
+                               uint32_t **first, uint32_t **sees, float **weight, float **bias)
 {
    size_t j, k, pairs = 0;
    for (j = 0; j < joints; j++)
@@ -11647,9 +11803,9 @@ DN_API size_t dn_skeleton_linear_size(const int32_t *parents, size_t joints, siz
 }
 /* The blocks come from a matrix in memory or straight from a file, which then is never held as floats; rows are scaled by
    a batch norm over J out channels. Returns the element that is not finite, or SIZE_MAX. */
-static size_t dn__skeleton_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in, size_t out,
-                                const float *weight, const dn_tensor *file, const float *bias, const dn_batchnorm *bn,
-                                dn_activation activation, void *memory)
+static size_t dn__skeleton_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in,
+                                size_t out, const float *weight, const dn_tensor *file, const float *bias,
+                                const dn_batchnorm *bn, dn_activation activation, void *memory)
 {
    dn__arena a = dn__arena_of(memory, SIZE_MAX);
    uint32_t *first, *sees;
@@ -11687,8 +11843,9 @@ static size_t dn__skeleton_pack(dn_skeleton_linear *layer, const int32_t *parent
       }
    return SIZE_MAX;
 }
-DN_API void dn_skeleton_linear_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in, size_t out,
-                                    const float *weight, const float *bias, dn_activation activation, void *memory)
+DN_API void dn_skeleton_linear_pack(dn_skeleton_linear *layer, const int32_t *parents, size_t joints, size_t in,
+                                    size_t out, const float *weight, const float *bias, dn_activation activation,
+                                    void *memory)
 {
    DN_ASSERT(dn_skeleton_linear_size(parents, joints, in, out) != 0 && activation != DN_ACT_SOFTMAX);
    dn__skeleton_pack(layer, parents, joints, in, out, weight, NULL, bias, NULL, activation, memory);
@@ -11702,7 +11859,8 @@ DN_API void dn_skeleton_linear_ref(const int32_t *parents, size_t joints, size_t
          const float *w = weight + (j * out + o) * joints * in; /* (J, in) */
          double sum = bias ? (double)bias[j * out + o] : 0.0;
          for (k = 0; k < joints; k++)
-            for (c = 0; c < in && dn__joint_sees(parents, j, k); c++) sum += (double)w[k * in + c] * (double)x[k * in + c];
+            for (c = 0; c < in && dn__joint_sees(parents, j, k); c++)
+               sum += (double)w[k * in + c] * (double)x[k * in + c];
          y[j * out + o] = dn__activate((float)sum, activation);
       }
 }
@@ -11731,7 +11889,8 @@ static void dn__skeleton_range(void *job, size_t begin, size_t end, unsigned wor
       }
    }
 }
-DN_API void dn_skeleton_linear_run(const dn_skeleton_linear *layer, const float *x, float *y, const dn_parallel *parallel)
+DN_API void dn_skeleton_linear_run(const dn_skeleton_linear *layer, const float *x, float *y,
+                                   const dn_parallel *parallel)
 {
    dn__skeleton_job j;
    j.layer = layer;
@@ -11768,7 +11927,8 @@ static size_t dn__count_chain(dn__loader *l, const char *stem)
    }
    dn__number(name, sizeof name, stem, n, ".weight");
    if (n == 0) dn__load_fail(l, DN_MISSING_TENSOR, name, ": not in the file");
-   if (n == DN__MAX_CHAIN && dn_tensors_find(l->file, name)) dn__load_fail(l, DN_UNSUPPORTED, name, ": more than 64 layers of one kind");
+   if (n == DN__MAX_CHAIN && dn_tensors_find(l->file, name))
+      dn__load_fail(l, DN_UNSUPPORTED, name, ": more than 64 layers of one kind");
    return n;
 }
 /* name.weight (out,in,1,5) with that `in`, any out that fits; out = 0 accepts any */
@@ -11784,8 +11944,8 @@ static const dn_tensor *dn__want_conv(dn__loader *l, const char *name, size_t in
       dn__load_fail(l, DN_MISSING_TENSOR, full, ": not in the file");
       return NULL;
    }
-   if (t->rank != 4 || t->shape[0] < 1 || t->shape[0] > DN_MAX_DIM || (out && t->shape[0] != out) || t->shape[1] != in ||
-       t->shape[2] != 1 || t->shape[3] != 5) {
+   if (t->rank != 4 || t->shape[0] < 1 || t->shape[0] > DN_MAX_DIM || (out && t->shape[0] != out) ||
+       t->shape[1] != in || t->shape[2] != 1 || t->shape[3] != 5) {
       dn__put(&s, ": expected (");
       if (out) dn__put_size(&s, out);
       else dn__put(&s, "1..max");
@@ -11809,8 +11969,8 @@ static const float *dn__bias_of(dn__loader *l, const char *name, size_t width)
    return dn__floats(l, dn__want(l, full, 1, width, 0));
 }
 /* one convolution; its first `sliced` input channels are packed DN__EDGE_SLICE at a time, each a layer, the rest as one */
-static size_t dn__load_nbs_conv(dn__loader *l, const char *name, size_t in, size_t out, dn_activation act, dn_meshconv *layer,
-                            size_t sliced)
+static size_t dn__load_nbs_conv(dn__loader *l, const char *name, size_t in, size_t out, dn_activation act,
+                                dn_meshconv *layer, size_t sliced)
 {
    const dn_tensor *t = dn__want_conv(l, name, in, out);
    const float *weight, *bias;
@@ -11830,12 +11990,14 @@ static size_t dn__load_nbs_conv(dn__loader *l, const char *name, size_t in, size
       bytes = dn_meshconv_size(width, out);
       memory = dn__take(&l->memory, bytes ? bytes : SIZE_MAX, 1);
       if (l->packing && !l->failed)
-         dn__meshconv_pack_part(layer++, in, from, width, out, weight, bias, has_bn ? &bn : NULL, sliced ? DN_ACT_NONE : act, memory);
+         dn__meshconv_pack_part(layer++, in, from, width, out, weight, bias, has_bn ? &bn : NULL,
+                                sliced ? DN_ACT_NONE : act, memory);
    }
    return out;
 }
 /* a branch: `in` wide rows in; out = 0 accepts any width of the last layer. Returns that width */
-static size_t dn__load_nbs_branch(dn__loader *l, struct dn__blend_net *net, dn__nbs_branch branch, size_t in, size_t out, size_t sliced)
+static size_t dn__load_nbs_branch(dn__loader *l, struct dn__blend_net *net, dn__nbs_branch branch, size_t in,
+                                  size_t out, size_t sliced)
 {
    size_t i, n = net->count[branch];
    for (i = 0; i < n && !l->failed; i++) {
@@ -11844,8 +12006,8 @@ static size_t dn__load_nbs_branch(dn__loader *l, struct dn__blend_net *net, dn__
       int parts = sliced && i == 0;
       dn__number(name, sizeof name, dn__nbs_branch_names[branch], i, "");
       if (parts) net->joined = act;
-      in = dn__load_nbs_conv(l, name, in, i + 1 < n ? 0 : out, act, !l->packing ? NULL : parts ? net->slice : net->conv[branch] + i,
-                        parts ? sliced : 0);
+      in = dn__load_nbs_conv(l, name, in, i + 1 < n ? 0 : out, act,
+                             !l->packing ? NULL : parts ? net->slice : net->conv[branch] + i, parts ? sliced : 0);
    }
    return in;
 }
@@ -11942,7 +12104,9 @@ static size_t dn__load_nbs_parents(dn__loader *l, int32_t parents[DN__BLEND_JOIN
       if (n == DN__BLEND_JOINTS) dn__load_fail(l, DN_UNSUPPORTED, key, ": more than 1024 joints");
       else if ((*at && *at != ',') || (n == 0 ? !root : root || digits == 0 || value >= n)) {
          char line[160];
-         dn__number(line, sizeof line, ": joint ", n, n ? " does not name a joint before it; expected a list such as -1,0,0,1" : " is not -1, the root; expected a list such as -1,0,0,1");
+         dn__number(line, sizeof line, ": joint ", n,
+                    n ? " does not name a joint before it; expected a list such as -1,0,0,1"
+                    : " is not -1, the root; expected a list such as -1,0,0,1");
          dn__load_fail(l, DN_BAD_VALUE, key, line);
       } else parents[n++] = root ? -1 : (int32_t)value;
       at = *at ? at + 1 : NULL;
@@ -11952,7 +12116,8 @@ static size_t dn__load_nbs_parents(dn__loader *l, int32_t parents[DN__BLEND_JOIN
 /* N table 5 */
 static void dn__build_blend(dn__loader *l)
 {
-   struct dn__blend_net stand_in, *net = (struct dn__blend_net *)dn__take(&l->memory, 1, sizeof(struct dn__blend_net));
+   struct dn__blend_net stand_in, *net = (struct dn__blend_net *)dn__take(&l->memory, 1,
+                                                                          sizeof(struct dn__blend_net));
    int32_t parents[DN__BLEND_JOINTS], *kept;
    size_t i, deep, deep2, names, joints = dn__load_nbs_parents(l, parents);
    if (!l->packing) net = &stand_in;
@@ -11982,7 +12147,8 @@ static void dn__build_blend(dn__loader *l)
    if (net->shapes % 3) {
       char name[DN__NAME], text[120];
       dn__number(name, sizeof name, "dec.", net->count[DN__DEC] - 1, ".weight");
-      dn__number(text, sizeof text, ": expected a multiple of 3 rows, x y z of each shape, file has ", net->shapes, "");
+      dn__number(text, sizeof text, ": expected a multiple of 3 rows, x y z of each shape, file has ", net->shapes,
+                 "");
       dn__load_fail(l, DN_BAD_SHAPE, name, text);
       return;
    }
@@ -12030,7 +12196,7 @@ typedef struct dn__nbs_bind {          /* one call of create or init */
    float *middle;                      /* (E,3) edge midpoints: what every branch starts from */
    float *rows[2];                     /* (E, widest even layer), (E, widest odd layer) */
    float *attention;                   /* (E,S) */
-   float *piece;                       /* (DN__EDGE_PIECE, G of geo) */
+   float *piece;                       /* (at most DN__EDGE_PIECE, G of geo) */
    double *sums;                       /* (S, G + 1) */
    float *joint_rows[2];               /* (S, widest of gen) */
    float *slice;                       /* (E, DN__EDGE_SLICE or G of geo2) */
@@ -12062,9 +12228,16 @@ static dn_result dn__nbs_open(dn__nbs_bind *b, const dn_model *model, const dn_b
    }
    if (m->vertices == 0) return dn__fail(err, DN_BAD_MESH, dn__where_blend, SIZE_MAX, "no vertices");
    if (m->vertices > DN__MOST || m->triangles > DN__MOST)
-      return dn__fail_sizes(err, DN_BAD_MESH, dn__where_blend, SIZE_MAX, m->vertices > DN__MOST ? "vertices: found " : "triangles: found ",
-                            m->vertices > DN__MOST ? m->vertices : m->triangles, ", expected at most ", DN__MOST, NULL);
-   if (!dn__finite(desc->weld_distance)) return dn__fail(err, DN_BAD_VALUE, dn__where_blend, SIZE_MAX, "weld_distance is not finite");
+      return dn__fail_sizes(err, DN_BAD_MESH, dn__where_blend, SIZE_MAX,
+                            m->vertices > DN__MOST ? "vertices: found " : "triangles: found ",
+                            m->vertices > DN__MOST ? m->vertices : m->triangles, ", expected at most ", DN__MOST,
+                            NULL);
+   if (dn__mul(m->vertices, b->net->joints) >= 0xffffffffu) /* mask_first counts pairs of them */
+      return dn__fail_sizes(err, DN_BAD_MESH, dn__where_blend, SIZE_MAX, "vertices: found ", m->vertices,
+                            ", expected fewer than 2^32 - 1 with each of the joints, which are ", b->net->joints,
+                            NULL);
+   if (!dn__finite(desc->weld_distance))
+      return dn__fail(err, DN_BAD_VALUE, dn__where_blend, SIZE_MAX, "weld_distance is not finite");
    DN_ASSERT(m->positions && (m->triangles == 0 || m->indices));
    DN_ASSERT(m->triangles == 0 || m->index_type == DN_U16 || m->index_type == DN_U32);
    b->nodes = b->vertices;
@@ -12094,7 +12267,8 @@ static size_t dn__nbs_branch_width(const struct dn__blend_net *net, dn__nbs_bran
 static void dn__nbs_net_layout(dn__nbs_bind *b, dn__arena *a)
 {
    const struct dn__blend_net *net = b->net;
-   size_t E = b->edges, deep = dn__nbs_branch_width(net, DN__GEO), deep2 = dn__nbs_branch_width(net, DN__GEO2), widest = deep, i, k;
+   size_t E = b->edges, deep = dn__nbs_branch_width(net, DN__GEO), deep2 = dn__nbs_branch_width(net, DN__GEO2),
+      widest = deep, i, k;
    int branch;
    b->width[0] = b->width[1] = b->tile_bytes = 0;
    for (branch = 0; branch < DN__DEC; branch++) /* the last layers go elsewhere */
@@ -12112,7 +12286,7 @@ static void dn__nbs_net_layout(dn__nbs_bind *b, dn__arena *a)
    b->middle = (float *)dn__take(a, dn__mul(E, 3), sizeof(float));
    for (k = 0; k < 2; k++) b->rows[k] = (float *)dn__take(a, dn__mul(E, b->width[k]), sizeof(float));
    b->attention = (float *)dn__take(a, dn__mul(E, net->joints), sizeof(float));
-   b->piece = (float *)dn__take(a, dn__mul(DN__EDGE_PIECE, deep), sizeof(float));
+   b->piece = (float *)dn__take(a, dn__mul(dn__min(E, DN__EDGE_PIECE), deep), sizeof(float));
    b->sums = (double *)dn__take(a, dn__mul(net->joints, dn__add(deep, 1)), sizeof(double));
    for (k = 0; k < 2; k++) b->joint_rows[k] = (float *)dn__take(a, dn__mul(net->joints, widest), sizeof(float));
    b->slice = (float *)dn__take(a, dn__mul(E, dn__min(deep2, DN__EDGE_SLICE)), sizeof(float));
@@ -12168,10 +12342,13 @@ static dn_result dn__nbs_prepare(dn__nbs_bind *b)
       float *p = b->positions + 3 * v;
       dn__position_at(m, v, p);
       if (!dn__finite(p[0]) || !dn__finite(p[1]) || !dn__finite(p[2]))
-         return dn__fail_sizes(b->err, DN_BAD_MESH, dn__where_blend, v, "vertex ", v, NULL, 0, ": its position is not finite");
+         return dn__fail_sizes(b->err, DN_BAD_MESH, dn__where_blend, v, "vertex ", v, NULL, 0,
+                               ": its position is not finite");
    }
-   b->nodes = dn_weld(b->positions, b->vertices, NULL, NULL, 0, b->desc->weld_distance, b->node_of_vertex, b->first_vertex, NULL, b->work);
-   for (v = 0; v < b->nodes; v++) memcpy(b->rest + 3 * v, b->positions + 3 * (size_t)b->first_vertex[v], 3 * sizeof(float));
+   b->nodes = dn_weld(b->positions, b->vertices, NULL, NULL, 0, b->desc->weld_distance, b->node_of_vertex,
+                      b->first_vertex, NULL, b->work);
+   for (v = 0; v < b->nodes; v++)
+      memcpy(b->rest + 3 * v, b->positions + 3 * (size_t)b->first_vertex[v], 3 * sizeof(float));
    for (t = 0; t < b->triangles; t++)
       for (c = 0; c < 3; c++) {
          size_t at = dn__index_at(m->indices, m->index_type, (3 * t + c) * size);
@@ -12188,7 +12365,8 @@ static dn_result dn__nbs_prepare(dn__nbs_bind *b)
          }
          b->triangle[3 * t + c] = b->node_of_vertex[at];
       }
-   dn_edges_build(b->rest, b->triangle, b->triangles, b->nodes, b->ends, b->ring, b->first, b->at, NULL, &b->mesh, b->work);
+   dn_edges_build(b->rest, b->triangle, b->triangles, b->nodes, b->ends, b->ring, b->first, b->at, NULL, &b->mesh,
+                  b->work);
    b->edges = b->mesh.count;
    dn__nbs_cost(b);
    return DN_OK;
@@ -12196,7 +12374,8 @@ static dn_result dn__nbs_prepare(dn__nbs_bind *b)
 
 /* --- step 2: the network */
 static const dn_parallel *dn__nbs_parallel(const dn__nbs_bind *b) { return b->desc->probe ? NULL : b->desc->parallel; }
-static void dn__nbs_tap(const dn__nbs_bind *b, const char *name, const float *rows, size_t first, size_t count, size_t width)
+static void dn__nbs_tap(const dn__nbs_bind *b, const char *name, const float *rows, size_t first, size_t count,
+                        size_t width)
 {
    const dn_probe *p = b->desc->probe;
    if (p && p->tap) p->tap(p->user, name, rows, first, count, width, width);
@@ -12208,7 +12387,8 @@ static dn__conv_job dn__nbs_job_of(const dn__nbs_bind *b, const dn_meshconv *lay
    j.tile_bytes = b->tile_bytes;
    return j;
 }
-static void dn__nbs_conv(const dn__nbs_bind *b, const dn_meshconv *layer, const float *x, float *y, size_t first, size_t count)
+static void dn__nbs_conv(const dn__nbs_bind *b, const dn_meshconv *layer, const float *x, float *y, size_t first,
+                         size_t count)
 {
    dn__conv_job j = dn__nbs_job_of(b, layer, x, y);
    j.first = first;
@@ -12290,7 +12470,8 @@ static dn_result dn__nbs_skeleton(dn__nbs_bind *b, float *offset, float *rest)
       y = to;
    }
    for (i = 0; i < S; i++)
-      for (k = 0; k < 3; k++) rest[3 * i + k] = offset[3 * i + k] + (i ? rest[3 * (size_t)net->parents[i] + k] : 0.0f);
+      for (k = 0; k < 3; k++)
+         rest[3 * i + k] = offset[3 * i + k] + (i ? rest[3 * (size_t)net->parents[i] + k] : 0.0f);
    return DN_OK;
 }
 /* residual branch: a slice of geo2's last channels for all edges, its part of dec.0, the next slice */
@@ -12359,11 +12540,13 @@ static void dn__nbs_masks(const dn__nbs_bind *b, const float *weight, uint32_t *
    }
    first[b->nodes] = (uint32_t)n;
 }
-static dn_result dn__nbs_finite(const dn__nbs_bind *b, const float *x, size_t count, size_t width, const char *of, const char *what)
+static dn_result dn__nbs_finite(const dn__nbs_bind *b, const float *x, size_t count, size_t width, const char *of,
+                                const char *what)
 {
    size_t i;
    for (i = 0; i < count * width; i++)
-      if (!dn__finite(x[i])) return dn__fail_sizes(b->err, DN_BAD_VALUE, dn__where_blend, i / width, of, i / width, NULL, 0, what);
+      if (!dn__finite(x[i]))
+         return dn__fail_sizes(b->err, DN_BAD_VALUE, dn__where_blend, i / width, of, i / width, NULL, 0, what);
    return DN_OK;
 }
 /* a prepared mesh through the network, into a blend that has been laid out */
@@ -12394,14 +12577,18 @@ static dn_result dn__nbs_run(dn__nbs_bind *b, dn_blend *o)
    if ((r = dn__nbs_skeleton(b, (float *)v->joint_offset, (float *)v->joint_rest)) != DN_OK) return r;
    if ((r = dn__nbs_shapes(b, (float *)v->shape)) != DN_OK) return r;
    dn__nbs_masks(b, v->skin_weight, (uint32_t *)v->mask_first, (uint32_t *)v->mask_joint);
-   if ((r = dn__nbs_finite(b, v->skin_weight, b->nodes, net->joints, "node ", ": its skin weights are not finite")) != DN_OK) return r;
-   if ((r = dn__nbs_finite(b, v->joint_rest, net->joints, 3, "joint ", ": its position is not finite")) != DN_OK) return r;
-   if ((r = dn__nbs_finite(b, v->shape, b->nodes, 3 * net->shapes, "node ", ": its blend shapes are not finite")) != DN_OK) return r;
+   if ((r = dn__nbs_finite(b, v->skin_weight, b->nodes, net->joints, "node ",
+                           ": its skin weights are not finite")) != DN_OK) return r;
+   if ((r = dn__nbs_finite(b, v->joint_rest, net->joints, 3, "joint ", ": its position is not finite")) != DN_OK)
+      return r;
+   if ((r = dn__nbs_finite(b, v->shape, b->nodes, 3 * net->shapes, "node ",
+                           ": its blend shapes are not finite")) != DN_OK) return r;
    if (b->desc->progress && b->desc->progress->step) b->desc->progress->step(b->desc->progress->user, "done", 1.0f); /* too late to cancel */
    return DN_OK;
 }
 
-DN_API dn_result dn_blend_size(const dn_model *model, const dn_blend_desc *desc, size_t *bytes, size_t *scratch, dn_error *err)
+DN_API dn_result dn_blend_size(const dn_model *model, const dn_blend_desc *desc, size_t *bytes, size_t *scratch,
+                               dn_error *err)
 {
    dn__nbs_bind b;
    dn__arena kept = dn__arena_of(NULL, 0), temp = dn__arena_of(NULL, 0);
@@ -12415,11 +12602,13 @@ DN_API dn_result dn_blend_size(const dn_model *model, const dn_blend_desc *desc,
    dn__nbs_net_layout(&b, &temp);
    *bytes = dn__gauge(&kept);
    *scratch = dn__gauge(&temp);
-   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "sizes overflow") : DN_OK;
+   return *bytes == SIZE_MAX || *scratch == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX,
+                                                                "sizes overflow") : DN_OK;
 }
 static dn_result dn__nbs_small(dn_error *err, const char *what, size_t given, size_t needed)
 {
-   return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_blend, SIZE_MAX, what, given, " bytes given, needed ", needed, NULL);
+   return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_blend, SIZE_MAX, what, given, " bytes given, needed ", needed,
+                         NULL);
 }
 /* a prepared mesh, its network laid out, into memory of at least the right size */
 static dn_result dn__nbs_finish(dn__nbs_bind *b, void *memory, size_t bytes, dn_blend **blend)
@@ -12438,8 +12627,8 @@ static dn_result dn__nbs_finish(dn__nbs_bind *b, void *memory, size_t bytes, dn_
    *blend = o;
    return DN_OK;
 }
-DN_API dn_result dn_blend_init(const dn_model *model, const dn_blend_desc *desc, void *memory, size_t bytes, void *scratch,
-                               size_t scratch_bytes, dn_blend **blend, dn_error *err)
+DN_API dn_result dn_blend_init(const dn_model *model, const dn_blend_desc *desc, void *memory, size_t bytes,
+                               void *scratch, size_t scratch_bytes, dn_blend **blend, dn_error *err)
 {
    dn__nbs_bind b;
    dn__arena temp = dn__arena_of(scratch, scratch_bytes);
@@ -12459,7 +12648,8 @@ DN_API dn_result dn_blend_init(const dn_model *model, const dn_blend_desc *desc,
 }
 /* Three blocks, so that what depends on the edges is allocated when they have been counted: a closed mesh has half of the
    bound that dn_blend_size must give. */
-DN_API dn_blend *dn_blend_create(const dn_model *model, const dn_blend_desc *desc, const dn_allocator *allocator, dn_error *err)
+DN_API dn_blend *dn_blend_create(const dn_model *model, const dn_blend_desc *desc, const dn_allocator *allocator,
+                                 dn_error *err)
 {
    dn__nbs_bind b;
    dn_blend *blend = NULL, measure;
@@ -12485,7 +12675,9 @@ DN_API dn_blend *dn_blend_create(const dn_model *model, const dn_blend_desc *des
       memory = dn__alloc(allocator, bytes);
       net = memory ? dn__alloc(allocator, net_bytes) : NULL;
       net_arena = dn__arena_of(net, net_bytes);
-      if (!net) dn__fail_sizes(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "blend of ", bytes, " bytes and scratch of ", net_bytes, " bytes");
+      if (!net)
+         dn__fail_sizes(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "blend of ", bytes, " bytes and scratch of ",
+                        net_bytes, " bytes");
       else {
          dn__nbs_net_layout(&b, &net_arena);
          dn__nbs_finish(&b, memory, bytes, &blend);
@@ -12536,12 +12728,14 @@ DN_API size_t dn_blend_scratch_size(const dn_blend *blend)
    dn__nbs_frame_layout(blend, &a);
    return dn__gauge(&a);
 }
-DN_API void *dn_blend_scratch_create(const dn_blend *blend, const dn_allocator *allocator, size_t *bytes, dn_error *err)
+DN_API void *dn_blend_scratch_create(const dn_blend *blend, const dn_allocator *allocator, size_t *bytes,
+                                     dn_error *err)
 {
    void *scratch;
    *bytes = dn_blend_scratch_size(blend);
    scratch = dn__alloc(allocator, *bytes);
-   if (!scratch) dn__fail_sizes(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "scratch of ", *bytes, NULL, 0, " bytes");
+   if (!scratch)
+      dn__fail_sizes(err, DN_NO_MEMORY, dn__where_blend, SIZE_MAX, "scratch of ", *bytes, NULL, 0, " bytes");
    return scratch;
 }
 static void dn__nbs_mlps(const dn_blend *blend, const float *rotations, float *coefficients, float *const mlp[2])
@@ -12571,21 +12765,22 @@ static void dn__nbs_offset(const dn_blend *blend, const float *coefficients, siz
    enum { SHAPES = 16 };
    const dn_blend_view *v = &blend->view;
    size_t B = v->shapes, i, k, from, count;
-   d[0] = d[1] = d[2] = 0.0f;
+   double moved[3] = { 0.0, 0.0, 0.0 }; /* joints and shapes of either sign cancel */
    for (from = 0; from < B; from += count) {
-      float sum[SHAPES] = { 0.0f };
+      double sum[SHAPES] = { 0.0 };
       const float *shape = v->shape + 3 * (n * B + from);
       count = dn__min(SHAPES, B - from);
       for (k = v->mask_first[n]; k < v->mask_first[n + 1]; k++) {
          const float *row = coefficients + (size_t)(v->mask_joint[k] - 1) * B + from;
-         for (i = 0; i < count; i++) sum[i] += row[i];
+         for (i = 0; i < count; i++) sum[i] += (double)row[i];
       }
       for (i = 0; i < count; i++) {
-         d[0] += sum[i] * shape[3 * i];
-         d[1] += sum[i] * shape[3 * i + 1];
-         d[2] += sum[i] * shape[3 * i + 2];
+         moved[0] += sum[i] * (double)shape[3 * i];
+         moved[1] += sum[i] * (double)shape[3 * i + 1];
+         moved[2] += sum[i] * (double)shape[3 * i + 2];
       }
    }
+   for (i = 0; i < 3; i++) d[i] = (float)moved[i];
 }
 typedef struct dn__nbs_job {
    const dn_blend *blend;
@@ -12658,8 +12853,8 @@ static int dn__nbs_rotation(const dn_blend_input *in, size_t s, float rotation[9
    }
    return ok;
 }
-DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, const dn_blend_output *out, void *scratch,
-                               size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
+DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, const dn_blend_output *out,
+                               void *scratch, size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
 {
    const dn_blend_view *v = &blend->view;
    dn__arena a = dn__arena_of(scratch, scratch_bytes);
@@ -12697,8 +12892,10 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
    if (out->positions || out->displacement) dn__for(parallel, v->vertices, DN__GRAIN, dn__nbs_range, &j);
    if (out->coefficients) memcpy(out->coefficients, f.coefficients, count * sizeof(float));
    for (s = 0; out->palette && s < S; s++)
-      for (r = 0; r < 12; r++) out->palette[12 * s + r] = f.palette[12 * s + r] + (r % 4 == 3 ? j.translation[r / 4] : 0.0f);
-   return bad ? dn__fail_sizes(err, DN_NOT_FINITE, dn__where_blend, SIZE_MAX, "", bad, NULL, 0, " rotations, coefficients or sides of the translation are not finite") : DN_OK;
+      for (r = 0; r < 12; r++)
+         out->palette[12 * s + r] = f.palette[12 * s + r] + (r % 4 == 3 ? j.translation[r / 4] : 0.0f);
+   return bad ? dn__fail_sizes(err, DN_NOT_FINITE, dn__where_blend, SIZE_MAX, "", bad, NULL, 0,
+                               " rotations, coefficients or sides of the translation are not finite") : DN_OK;
 }
 /* the private macros go: what stays defined is documented in >>config, >>types and >>layers */
 #undef DN__AHEAD

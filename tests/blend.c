@@ -1157,6 +1157,14 @@ TEST(meshes_that_are_none)
    CHECK(dn_blend_create(m, &d, NULL, &e) == NULL && e.code == DN_BAD_MESH);
    d.mesh.vertices = SIZE_MAX / 2;
    CHECK(dn_blend_size(m, &d, &bytes, &scratch, &e) == DN_BAD_MESH);
+   {
+      dn_model *most = model_of(&paper); /* 24 joints: masks would number more than 32 bits can */
+      d.mesh.vertices = 200000000;
+      CHECK(dn_blend_size(most, &d, &bytes, &scratch, &e) == DN_BAD_MESH && strstr(e.info, "vertices: found 200000000"));
+      d = desc_of(&s); /* a small mesh needs no room for a large one's rows of 512 */
+      CHECK(dn_blend_size(most, &d, &bytes, &scratch, &e) == DN_OK && scratch < 2u << 20);
+      dn_model_free(most);
+   }
    d = desc_of(&s);
    memcpy(&d.weld_distance, &bits[0], 4);
    CHECK(dn_blend_create(m, &d, NULL, &e) == NULL && e.code == DN_BAD_VALUE && strstr(e.info, "weld_distance"));

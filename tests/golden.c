@@ -1469,7 +1469,7 @@ static void compare_pool(const run *r, const taps *t, const pooled *q, const dn_
             uint32_t a = (uint32_t)m[2 * i], b = (uint32_t)m[2 * i + 1], c = k2.c.cluster[a], d = k2.c.cluster[b];
             const uint32_t *own = k2.c.members + 2 * (size_t)c;
             out->row[i] = UINT32_MAX;
-            if (c == d && own[0] == a && own[1] == b) out->row[i] = c;
+            if (c == d && c < q->count && own[0] == a && own[1] == b) out->row[i] = c;
             else {
                out->reach[0][a] = out->reach[0][b] = 1, unlike++;
                out->reach[0][own[0]] = out->reach[0][own[1]] = 1;
