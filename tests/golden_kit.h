@@ -19,7 +19,8 @@ static void run_mesh_kit(const run *r, const mesh *m, const dn_graph *g)
       free(spare);
    }
    if (chosen && in(r, "out.even_selection")) {
-      size_t wanted = (size_t)(uint32_t)ints(chosen)[0];
+      int32_t *number = ints(chosen);
+      size_t wanted = (size_t)(uint32_t)number[0];
       uint32_t *selection = (uint32_t *)need(wanted, sizeof *selection), spacing = 0;
       unsigned c = 0;
       dn_error err;
@@ -33,6 +34,7 @@ static void run_mesh_kit(const run *r, const mesh *m, const dn_graph *g)
       }
       free(raw);
       free(selection);
+      free(number);
    }
    if (points && in(r, "out.association")) {
       size_t count = points->count / 3;
