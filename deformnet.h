@@ -388,7 +388,7 @@ DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scrat
 
 /* ===================================================================================== >>layers
    The networks' building blocks, to compose your own. A layer is packed once into memory you give (weights
-   in panels of DN_PANEL columns, batch norm and bias folded in) and then only read. Rows x and y have a stride
+   in panels of DN_PANEL columns, batch norm and bias beside them) and then only read. Rows x and y have a stride
    in floats, so that several blocks can share one wide row (a dense module concatenates in place).
    All of them: re-entrant, no allocation, memory and scratch 64-byte aligned; out must not overlap in unless said;
    bits independent of parallel; sizes that do not match are the caller's mistake, asserted where they can be seen.
@@ -413,7 +413,8 @@ typedef struct dn_linear {  /* y = act(bn(W x + b)) */
    size_t in, out;
    dn_activation activation;
    const float *panels;     /* (ceil(out/16), in, 16) */
-   const float *bias;       /* (ceil(out/16)*16), zero padded */
+   const float *columns;    /* (ceil(out/16), 5, 16) bias and batch norm: y = act((W x + start) scale + shift), zero
+                               padded; NULL: y = act(W x) */
    dn_kernel kernel;
 } dn_linear;
 /*  bytes for dn_linear_pack; 0 when a size is 0 or the product does not fit */
@@ -437,7 +438,7 @@ typedef struct dn_gat {
    size_t in, heads, features, self; /* d, K, F, B; the output is K*F + B wide */
    dn_activation activation;
    const float *panels;     /* (.., in, 16) columns [K*F z | K dst logits | K src logits, padded] [B self, padded] */
-   const float *bias;       /* one a column */
+   const float *columns;    /* (.., 5, 16) as dn_linear's */
    const uint32_t *head;    /* (K*F, rounded up to 16) the head of each column of z */
    dn_kernel kernel;
 } dn_gat;
@@ -3849,7 +3850,7 @@ DN_API dn_result dn_voxel_bind(const float *positions, size_t nodes, const uint3
 }
 
 /* ===================================================================================== >>kernels
-   in       rows x (rows,in) with a stride; weights in panels (ceil(out/16), in, 16)    out  y = act(x W^T + bias)
+   in       rows x (rows,in) with a stride; weights in panels (ceil(out/16), in, 16)    out  y = act(bn(x W^T + b))
    touches  nothing but y: no allocation, no statics; packing asks the processor once and notes the kernel
    read     dn__exp, dn__tanhshrink, dn__product_ref first; every fast text below is one of these again */
 
@@ -3866,6 +3867,10 @@ DN_API dn_result dn_voxel_bind(const float *positions, size_t nodes, const uint3
 #define DN__EXP_2 0.041668528324f
 #define DN__EXP_3 0.008370135025f
 #define DN__EXP_4 0.001381166006f
+static float dn__narrow(double x) /* to float; what does not fit saturates (a conversion would be undefined) */
+{
+   return x > 3.4028234e38 ? 3.4028234e38f : x < -3.4028234e38 ? -3.4028234e38f : (float)x;
+}
 static int dn__nan(float x) /* by bits, as dn__finite */
 {
    uint32_t u;
@@ -3892,8 +3897,8 @@ static float dn__exp(float x)
 }
 
 /* x - tanh x. Up to 0.625 from its own series, x^3 p(x^2), so that small values keep their digits (relative error
-   3e-7); above, from tanh |x| = 1 - 2t / (1 + t), t = exp(-2|x|). tanh is taken from the same two: absolute error
-   below 1e-7, odd, exactly 0 at 0 and 1 from 9.1 on. */
+   3e-7); above, from tanh |x| = 1 - q, q = 2t / (1 + t), t = exp(-2|x|), as (|x| - 1) + q: up to 2 that difference is
+   exact. tanh is taken from the same two: absolute error below 1e-7, odd, exactly 0 at 0 and 1 from 9.1 on. */
 #define DN__TANH_SMALL 0.625f
 #define DN__TANH_0 0.333333289484f
 #define DN__TANH_1 (-0.133327700768f)
@@ -3905,15 +3910,24 @@ static float dn__shrink_small(float x) /* x - tanh x, |x| <= DN__TANH_SMALL */
    float z = x * x;
    return ((((DN__TANH_4 * z + DN__TANH_3) * z + DN__TANH_2) * z + DN__TANH_1) * z + DN__TANH_0) * z * x;
 }
-static float dn__tanh_large(float x)
+static float dn__tanh_rest(float size) /* 1 - tanh x, x = size >= 0 */
 {
-   float t = dn__exp(-2.0f * DN_FABSF(x)), y = 1.0f - 2.0f * t / (1.0f + t);
+   float t = dn__exp(-2.0f * size);
+   return 2.0f * t / (1.0f + t);
+}
+static float dn__tanh(float x)
+{
+   float size = DN_FABSF(x), y;
+   if (size < DN__TANH_SMALL) return x - dn__shrink_small(x);
+   y = 1.0f - dn__tanh_rest(size);
    return x < 0 ? -y : y;
 }
-static float dn__tanh(float x) { return DN_FABSF(x) < DN__TANH_SMALL ? x - dn__shrink_small(x) : dn__tanh_large(x); }
 static float dn__tanhshrink(float x)
 {
-   return DN_FABSF(x) < DN__TANH_SMALL ? dn__shrink_small(x) : x - dn__tanh_large(x);
+   float size = DN_FABSF(x), y;
+   if (size < DN__TANH_SMALL) return dn__shrink_small(x);
+   y = (size - 1.0f) + dn__tanh_rest(size);
+   return x < 0 ? -y : y;
 }
 static float dn__leaky(float x) { return x < 0 ? 0.2f * x : x; }
 static float dn__activate(float x, dn_activation activation) /* one number; softmax is over a row */
@@ -3937,7 +3951,17 @@ static void dn__softmax(float *row, size_t count) /* softmax_c = exp(x_c - max) 
    for (c = 0; c < count; c++) row[c] /= sum;
 }
 
-/* y_ro = act( sum_c x_rc W_oc + b_o ), rows begin to end - 1 */
+/* y_ro = act(bn( sum_c x_rc W_oc + b_o )), rows begin to end - 1, with bn(u) = (u - mean) scale + shift. A column has
+   five numbers (none, columns == NULL: the plain sum):
+
+        start, start_rest    b - mean, as two floats
+        scale, scale_rest    weight / sqrt(var + 1e-5), as two floats
+        shift                the batch norm's bias
+
+   W stays what the file has, and no constant is rounded. Folded into W and b, every weight would be: wrong the same
+   way at every node, and twenty layers of attention amplified that more than anything else. Here products are exact
+   and sums in double: the fast texts are measured against this one. */
+#define DN__COLUMN ((size_t)5 * DN_PANEL) /* floats a panel has of these: start (16), start_rest (16), ... */
 static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride, float *y, size_t y_stride,
                             size_t begin, size_t end)
 {
@@ -3947,9 +3971,15 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
       float *to = y + r * y_stride;        /* (out) */
       for (o = 0; o < l->out; o++) {
          const float *w = l->panels + (o / DN_PANEL * l->in) * DN_PANEL + o % DN_PANEL; /* W_oc at w[16 c] */
-         float sum = l->bias[o];
-         for (c = 0; c < l->in; c++) sum += row[c] * w[c * DN_PANEL];
-         to[o] = dn__activate(sum, l->activation);
+         double sum = 0, scale = 1, shift = 0;
+         if (l->columns) {
+            const float *n = l->columns + o / DN_PANEL * DN__COLUMN + o % DN_PANEL; /* its five numbers at n[16 k] */
+            sum = (double)n[0] + (double)n[DN_PANEL];
+            scale = (double)n[2 * DN_PANEL] + (double)n[3 * DN_PANEL];
+            shift = (double)n[4 * DN_PANEL];
+         }
+         for (c = 0; c < l->in; c++) sum += (double)row[c] * (double)w[c * DN_PANEL];
+         to[o] = dn__activate(dn__narrow(sum * scale + shift), l->activation);
       }
       if (l->activation == DN_ACT_SOFTMAX) dn__softmax(to, l->out);
    }
@@ -4001,21 +4031,41 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
 #endif
 #define DN__GRAIN ((size_t)168) /* rows a range of the parallel loop: a multiple of every tile height below */
 
-/* Each text offers these. A tile is `rows` rows of x times one or two panels; every y adds its
+/* Rounding of a float sum grows with its length: 504 terms one after another lost more than all the rest of an
+   eighteen-block network. So DN__RUN terms are added up at a time, and each run to a total kept beside:
+
+        total' = total + run,   next run starts from (total - total') + run
+
+   what the addition lost goes into the next run (Kahan), and only the short runs round. Shorter still where that is
+   cheap (AVX-512) or the products round too (no fused multiply-add). */
+#define DN__RUN ((size_t)16)
+#define DN__RUN_SHORT ((size_t)8)
+/* Where totals are kept in memory, compilers that see what was stored a run ago would hold it in registers, and there
+   are none left; nor for the weights of four terms, loaded early. */
+#if defined(__GNUC__) || defined(__clang__)
+   #define DN__IN_MEMORY() __asm__ __volatile__("" : : : "memory")
+#else
+   #define DN__IN_MEMORY() (void)0
+#endif
+/* Each text offers these. A tile is `rows` rows of x times one panel; every y adds its
    terms c = 0 .. in-1 in one order, whatever the tile, so results do not depend on how rows are grouped. */
 typedef struct dn__kernel {
-   size_t rows, panels; /* of its tile */
-   /* y (rows, 16 panels) = x (rows,in) w + bias; w: panels of (in,16) */
-   void (*tile)(const float *x, size_t x_stride, size_t in, const float *w, const float *bias, size_t panels,
+   size_t rows; /* of its tile, 16 columns wide */
+   /* y (rows,16) = bn(x (rows,in) w + b); w (in,16); columns (5,16), dn__product_ref; total: room for (rows,16) */
+   void (*tile)(const float *x, size_t x_stride, size_t in, const float *w, const float *columns, float *total,
                 float *y, size_t y_stride);
-   /* the same for one row and one panel */
-   void (*row)(const float *x, size_t in, const float *w, const float *bias, float *y);
+   /* the same for one row */
+   void (*row)(const float *x, size_t in, const float *w, const float *columns, float *y);
    /* y (rows, columns) = act(y); columns a multiple of 16; not softmax */
    void (*activate)(float *y, size_t y_stride, size_t rows, size_t columns, dn_activation activation);
    /* >>attention: dn__attend_ref is the specification */
    void (*attend)(const dn_gat *b, const dn_graph *g, const float *z, float *y, size_t y_stride, size_t begin,
                   size_t end);
 } dn__kernel;
+static DN__INLINE float *dn__cache_line(float *p) /* the first 64-byte boundary from p on, at most 15 floats away */
+{
+   return p + ((16 - ((size_t)(uintptr_t)p >> 2 & 15)) & 15);
+}
 #define DN__EACH3(X) X(0) X(1) X(2)
 #define DN__EACH6(X) DN__EACH3(X) X(3) X(4) X(5)
 #define DN__EACH14(X) DN__EACH6(X) X(6) X(7) X(8) X(9) X(10) X(11) X(12) X(13)
@@ -4050,9 +4100,10 @@ DN__TARGET_AVX2 static DN__INLINE __m256 dn__tanh_avx2(__m256 x, int shrink) /* 
    s = _mm256_fmadd_ps(s, z, _mm256_set1_ps(DN__TANH_0));
    s = _mm256_mul_ps(_mm256_mul_ps(s, z), x); /* x - tanh x, small x */
    t = dn__exp_avx2(_mm256_mul_ps(size, _mm256_set1_ps(-2.0f)));
-   t = _mm256_sub_ps(one, _mm256_div_ps(_mm256_add_ps(t, t), _mm256_add_ps(one, t)));
-   t = _mm256_or_ps(t, _mm256_and_ps(sign, x)); /* tanh x, large x */
-   return shrink ? _mm256_blendv_ps(_mm256_sub_ps(x, t), s, small) : _mm256_blendv_ps(t, _mm256_sub_ps(x, s), small);
+   t = _mm256_div_ps(_mm256_add_ps(t, t), _mm256_add_ps(one, t)); /* 1 - tanh |x| */
+   t = shrink ? _mm256_add_ps(_mm256_sub_ps(size, one), t) : _mm256_sub_ps(one, t);
+   t = _mm256_or_ps(t, _mm256_and_ps(sign, x)); /* large x */
+   return _mm256_blendv_ps(t, shrink ? s : _mm256_sub_ps(x, s), small);
 }
 DN__TARGET_AVX2 static DN__INLINE __m256 dn__leaky_avx2(__m256 x)
 {
@@ -4078,45 +4129,113 @@ DN__TARGET_AVX2 static void dn__activate_avx2(float *y, size_t y_stride, size_t 
       for (c = 0; c < columns; c += 8)
          _mm256_storeu_ps(y + r * y_stride + c, dn__act_avx2(_mm256_loadu_ps(y + r * y_stride + c), activation));
 }
+DN__TARGET_AVX2 static DN__INLINE __m256 dn__start_avx2(const float *columns, size_t at)
+{
+   return columns ? _mm256_loadu_ps(columns + at) : _mm256_setzero_ps();
+}
+/* the sum of a run joins the total; returns what the next run starts from */
+DN__TARGET_AVX2 static DN__INLINE __m256 dn__carry_avx2(float *total, __m256 run)
+{
+   __m256 before = _mm256_loadu_ps(total), after = _mm256_add_ps(before, run);
+   _mm256_storeu_ps(total, after);
+   return _mm256_add_ps(_mm256_sub_ps(before, after), run);
+}
+DN__TARGET_AVX2 static DN__INLINE __m256 dn__bn_avx2(__m256 sum, __m256 scale, __m256 rest, __m256 shift)
+{
+   return _mm256_fmadd_ps(sum, scale, _mm256_fmadd_ps(sum, rest, shift)); /* (scale + rest) sum + shift */
+}
 /* 6 rows x 16 columns: 12 sums, 2 weights and 1 broadcast x fill 15 of the 16 registers */
 DN__TARGET_AVX2 static void dn__tile_avx2(const float *x, size_t x_stride, size_t in, const float *w,
-                                          const float *bias, size_t panels, float *y, size_t y_stride)
+                                          const float *columns, float *total, float *y, size_t y_stride)
 {
    const float *x0 = x, *x3 = x + 3 * x_stride;
    __m256 w0, w1, v;
-   size_t c;
-   (void)panels; /* always 1 */
-   w0 = _mm256_loadu_ps(bias);
-   w1 = _mm256_loadu_ps(bias + 8);
-#define DN__START(r) __m256 a##r = w0, b##r = w1;
+   size_t c, end;
+   w0 = dn__start_avx2(columns, 0);
+   w1 = dn__start_avx2(columns, 8);
+#define DN__START(r)                                                                                         \
+   __m256 a##r = dn__start_avx2(columns, DN_PANEL), b##r = dn__start_avx2(columns, DN_PANEL + 8);            \
+   _mm256_storeu_ps(total + r * DN_PANEL, w0);                                                               \
+   _mm256_storeu_ps(total + r * DN_PANEL + 8, w1);
 #define DN__STEP(r)                                                                                          \
-   v = _mm256_broadcast_ss((r < 3 ? x0 : x3) + r % 3 * x_stride + c);                                        \
+   v = _mm256_broadcast_ss((r < 3 ? x0 : x3) + r % 3 * x_stride + K);                                        \
    a##r = _mm256_fmadd_ps(v, w0, a##r);                                                                      \
    b##r = _mm256_fmadd_ps(v, w1, b##r);
+#define DN__TERM(k)                                                                                          \
+   {                                                                                                         \
+      enum { K = k };                                                                                        \
+      DN__IN_MEMORY();                                                                                       \
+      w0 = _mm256_loadu_ps(w + K * DN_PANEL);                                                                \
+      w1 = _mm256_loadu_ps(w + K * DN_PANEL + 8);                                                            \
+      DN__EACH6(DN__STEP)                                                                                    \
+   }
+#define DN__CARRY(r)                                                                                         \
+   a##r = dn__carry_avx2(total + r * DN_PANEL, a##r);                                                        \
+   b##r = dn__carry_avx2(total + r * DN_PANEL + 8, b##r);
+#define DN__SUM(r)                                                                                           \
+   a##r = _mm256_add_ps(_mm256_loadu_ps(total + r * DN_PANEL), a##r);                                        \
+   b##r = _mm256_add_ps(_mm256_loadu_ps(total + r * DN_PANEL + 8), b##r);
+#define DN__BN(r) a##r = dn__bn_avx2(a##r, w0, w1, v);
+#define DN__BN2(r) b##r = dn__bn_avx2(b##r, w0, w1, v);
 #define DN__STORE(r)                                                                                         \
    _mm256_storeu_ps(y + r * y_stride, a##r);                                                                 \
    _mm256_storeu_ps(y + r * y_stride + 8, b##r);
    {
       DN__EACH6(DN__START)
-      for (c = 0; c < in; c++, w += DN_PANEL) {
-         w0 = _mm256_loadu_ps(w);
-         w1 = _mm256_loadu_ps(w + 8);
-         DN__EACH6(DN__STEP)
+      for (c = 0; c < in;) {
+         end = dn__min(in, c + DN__RUN);
+         for (; c + 4 <= end; c += 4, w += 4 * DN_PANEL, x0 += 4, x3 += 4) {
+            DN__TERM(0) DN__TERM(1) DN__TERM(2) DN__TERM(3)
+         }
+         for (; c < end; c++, w += DN_PANEL, x0++, x3++) DN__TERM(0)
+         DN__IN_MEMORY();
+         DN__EACH6(DN__CARRY)
+      }
+      DN__EACH6(DN__SUM)
+      if (columns) {
+         w0 = _mm256_loadu_ps(columns + 2 * DN_PANEL);
+         w1 = _mm256_loadu_ps(columns + 3 * DN_PANEL);
+         v = _mm256_loadu_ps(columns + 4 * DN_PANEL);
+         DN__EACH6(DN__BN)
+         w0 = _mm256_loadu_ps(columns + 2 * DN_PANEL + 8);
+         w1 = _mm256_loadu_ps(columns + 3 * DN_PANEL + 8);
+         v = _mm256_loadu_ps(columns + 4 * DN_PANEL + 8);
+         DN__EACH6(DN__BN2)
       }
       DN__EACH6(DN__STORE)
    }
 #undef DN__START
 #undef DN__STEP
+#undef DN__TERM
+#undef DN__CARRY
+#undef DN__SUM
+#undef DN__BN
+#undef DN__BN2
 #undef DN__STORE
 }
-DN__TARGET_AVX2 static void dn__row_avx2(const float *x, size_t in, const float *w, const float *bias, float *y)
+DN__TARGET_AVX2 static void dn__row_avx2(const float *x, size_t in, const float *w, const float *columns, float *y)
 {
-   __m256 a = _mm256_loadu_ps(bias), b = _mm256_loadu_ps(bias + 8);
-   size_t c;
-   for (c = 0; c < in; c++, w += DN_PANEL) {
-      __m256 v = _mm256_broadcast_ss(x + c);
-      a = _mm256_fmadd_ps(v, _mm256_loadu_ps(w), a);
-      b = _mm256_fmadd_ps(v, _mm256_loadu_ps(w + 8), b);
+   float total[DN_PANEL];
+   __m256 a = dn__start_avx2(columns, DN_PANEL), b = dn__start_avx2(columns, DN_PANEL + 8);
+   size_t c, end;
+   _mm256_storeu_ps(total, dn__start_avx2(columns, 0));
+   _mm256_storeu_ps(total + 8, dn__start_avx2(columns, 8));
+   for (c = 0; c < in;) {
+      for (end = dn__min(in, c + DN__RUN); c < end; c++, w += DN_PANEL) {
+         __m256 v = _mm256_broadcast_ss(x + c);
+         a = _mm256_fmadd_ps(v, _mm256_loadu_ps(w), a);
+         b = _mm256_fmadd_ps(v, _mm256_loadu_ps(w + 8), b);
+      }
+      a = dn__carry_avx2(total, a);
+      b = dn__carry_avx2(total + 8, b);
+   }
+   a = _mm256_add_ps(_mm256_loadu_ps(total), a);
+   b = _mm256_add_ps(_mm256_loadu_ps(total + 8), b);
+   if (columns) {
+      a = dn__bn_avx2(a, _mm256_loadu_ps(columns + 2 * DN_PANEL), _mm256_loadu_ps(columns + 3 * DN_PANEL),
+                      _mm256_loadu_ps(columns + 4 * DN_PANEL));
+      b = dn__bn_avx2(b, _mm256_loadu_ps(columns + 2 * DN_PANEL + 8), _mm256_loadu_ps(columns + 3 * DN_PANEL + 8),
+                      _mm256_loadu_ps(columns + 4 * DN_PANEL + 8));
    }
    _mm256_storeu_ps(y, a);
    _mm256_storeu_ps(y + 8, b);
@@ -4153,10 +4272,10 @@ DN__TARGET_AVX512 static DN__INLINE __m512 dn__tanh_avx512(__m512 x, int shrink)
    s = _mm512_fmadd_ps(s, z, _mm512_set1_ps(DN__TANH_0));
    s = _mm512_mul_ps(_mm512_mul_ps(s, z), x); /* x - tanh x, small x */
    t = dn__exp_avx512(_mm512_mul_ps(size, _mm512_set1_ps(-2.0f)));
-   t = _mm512_sub_ps(one, _mm512_div_ps(_mm512_add_ps(t, t), _mm512_add_ps(one, t)));
-   t = _mm512_or_ps(t, _mm512_and_ps(sign, x)); /* tanh x, large x */
-   return shrink ? _mm512_mask_blend_ps(small, _mm512_sub_ps(x, t), s)
-                 : _mm512_mask_blend_ps(small, t, _mm512_sub_ps(x, s));
+   t = _mm512_div_ps(_mm512_add_ps(t, t), _mm512_add_ps(one, t)); /* 1 - tanh |x| */
+   t = shrink ? _mm512_add_ps(_mm512_sub_ps(size, one), t) : _mm512_sub_ps(one, t);
+   t = _mm512_or_ps(t, _mm512_and_ps(sign, x)); /* large x */
+   return _mm512_mask_blend_ps(small, t, shrink ? s : _mm512_sub_ps(x, s));
 }
 DN__TARGET_AVX512 static DN__INLINE __m512 dn__act_avx512(__m512 x, dn_activation activation)
 {
@@ -4178,61 +4297,83 @@ DN__TARGET_AVX512 static void dn__activate_avx512(float *y, size_t y_stride, siz
       for (c = 0; c < columns; c += 16)
          _mm512_storeu_ps(y + r * y_stride + c, dn__act_avx512(_mm512_loadu_ps(y + r * y_stride + c), activation));
 }
-/* 14 rows x 32 columns (two panels): 28 sums, 2 weights and 1 broadcast x fill 31 of the 32 registers. Four row
-   pointers, each serving rows 0, 1, 2, 3 strides away, keep the addresses in registers too. */
+DN__TARGET_AVX512 static DN__INLINE __m512 dn__start_avx512(const float *columns, size_t at)
+{
+   return columns ? _mm512_loadu_ps(columns + at) : _mm512_setzero_ps();
+}
+DN__TARGET_AVX512 static DN__INLINE __m512 dn__scale_avx512(const float *columns, __m512 *rest, __m512 *shift)
+{
+   *rest = columns ? _mm512_loadu_ps(columns + 3 * DN_PANEL) : _mm512_setzero_ps();
+   *shift = columns ? _mm512_loadu_ps(columns + 4 * DN_PANEL) : _mm512_setzero_ps();
+   return columns ? _mm512_loadu_ps(columns + 2 * DN_PANEL) : _mm512_set1_ps(1.0f);
+}
+DN__TARGET_AVX512 static DN__INLINE __m512 dn__bn_avx512(__m512 sum, __m512 scale, __m512 rest, __m512 shift)
+{
+   return _mm512_fmadd_ps(sum, scale, _mm512_fmadd_ps(sum, rest, shift));
+}
+/* 14 rows x 16 columns: 14 runs, 14 totals, 1 weight, x broadcast as it is multiplied: 29 of the 32 registers. Two
+   panels at a time would load less, but leave the totals in memory, and there a 64-byte store takes the time of four
+   products; additions of registers run beside the products for nothing. Four row pointers, each serving rows 0, 1, 2,
+   3 strides away, keep the addresses in registers too. */
+#define DN__START(r) __m512 a##r = rest, s##r = start;
+#define DN__STEP(r) a##r = _mm512_fmadd_ps(_mm512_set1_ps(DN__X(r)[K]), w0, a##r);
+#define DN__CARRY(r)                                                                                         \
+   v = _mm512_add_ps(s##r, a##r);                                                                            \
+   a##r = _mm512_add_ps(_mm512_sub_ps(s##r, v), a##r);                                                       \
+   s##r = v;
+#define DN__BN(r) s##r = dn__bn_avx512(_mm512_add_ps(s##r, a##r), w0, rest, v);
+#define DN__STORE(r) _mm512_storeu_ps(y + r * y_stride, s##r);
 DN__TARGET_AVX512 static void dn__tile_avx512(const float *x, size_t x_stride, size_t in, const float *w,
-                                              const float *bias, size_t panels, float *y, size_t y_stride)
+                                              const float *columns, float *total, float *y, size_t y_stride)
 {
    const float *x0 = x, *x4 = x + 4 * x_stride, *x8 = x + 8 * x_stride, *x12 = x + 12 * x_stride;
-   const float *u = w + in * DN_PANEL; /* the second panel */
-   __m512 w0, w1, v;
-   size_t c;
+   __m512 w0, v, rest = dn__start_avx512(columns, DN_PANEL), start = dn__start_avx512(columns, 0);
+   size_t c, end;
+   (void)total; /* kept in registers */
 #define DN__X(r) ((r < 4 ? x0 : r < 8 ? x4 : r < 12 ? x8 : x12) + r % 4 * x_stride)
-#define DN__START(r) __m512 a##r = w0;
-#define DN__START2(r) __m512 b##r = w1;
-#define DN__STEP(r) a##r = _mm512_fmadd_ps(_mm512_set1_ps(*DN__X(r)), w0, a##r);
-#define DN__STEP2(r)                                                                                         \
-   v = _mm512_set1_ps(*DN__X(r));                                                                            \
-   a##r = _mm512_fmadd_ps(v, w0, a##r);                                                                      \
-   b##r = _mm512_fmadd_ps(v, w1, b##r);
-#define DN__STORE(r) _mm512_storeu_ps(y + r * y_stride, a##r);
-#define DN__STORE2(r) _mm512_storeu_ps(y + r * y_stride + 16, b##r);
-   w0 = _mm512_loadu_ps(bias);
-   if (panels == 2) {
-      w1 = _mm512_loadu_ps(bias + 16);
-      {
-         DN__EACH14(DN__START)
-         DN__EACH14(DN__START2)
-         for (c = 0; c < in; c++, w += DN_PANEL, u += DN_PANEL, x0++, x4++, x8++, x12++) {
-            w0 = _mm512_loadu_ps(w);
-            w1 = _mm512_loadu_ps(u);
-            DN__EACH14(DN__STEP2)
-         }
-         DN__EACH14(DN__STORE)
-         DN__EACH14(DN__STORE2)
-      }
-   } else {
+#define DN__TERM(k)                                                                                          \
+   {                                                                                                         \
+      enum { K = k };                                                                                        \
+      DN__IN_MEMORY();                                                                                       \
+      w0 = _mm512_loadu_ps(w + K * DN_PANEL);                                                                \
+      DN__EACH14(DN__STEP)                                                                                   \
+   }
+   {
       DN__EACH14(DN__START)
-      for (c = 0; c < in; c++, w += DN_PANEL, x0++, x4++, x8++, x12++) {
-         w0 = _mm512_loadu_ps(w);
-         DN__EACH14(DN__STEP)
+      for (c = 0; c < in;) {
+         end = dn__min(in, c + DN__RUN_SHORT);
+         for (; c + 4 <= end; c += 4, w += 4 * DN_PANEL, x0 += 4, x4 += 4, x8 += 4, x12 += 4) {
+            DN__TERM(0) DN__TERM(1) DN__TERM(2) DN__TERM(3)
+         }
+         for (; c < end; c++, w += DN_PANEL, x0++, x4++, x8++, x12++) DN__TERM(0)
+         DN__EACH14(DN__CARRY)
       }
+      w0 = dn__scale_avx512(columns, &rest, &v);
+      DN__EACH14(DN__BN)
       DN__EACH14(DN__STORE)
    }
 #undef DN__X
-#undef DN__START
-#undef DN__START2
-#undef DN__STEP
-#undef DN__STEP2
-#undef DN__STORE
-#undef DN__STORE2
+#undef DN__TERM
 }
-DN__TARGET_AVX512 static void dn__row_avx512(const float *x, size_t in, const float *w, const float *bias, float *y)
+#undef DN__START
+#undef DN__STEP
+#undef DN__CARRY
+#undef DN__BN
+#undef DN__STORE
+DN__TARGET_AVX512 static void dn__row_avx512(const float *x, size_t in, const float *w, const float *columns,
+                                             float *y)
 {
-   __m512 a = _mm512_loadu_ps(bias);
-   size_t c;
-   for (c = 0; c < in; c++, w += DN_PANEL) a = _mm512_fmadd_ps(_mm512_set1_ps(x[c]), _mm512_loadu_ps(w), a);
-   _mm512_storeu_ps(y, a);
+   __m512 a = dn__start_avx512(columns, DN_PANEL), s = dn__start_avx512(columns, 0), v, rest, scale;
+   size_t c, end;
+   for (c = 0; c < in;) {
+      for (end = dn__min(in, c + DN__RUN_SHORT); c < end; c++, w += DN_PANEL)
+         a = _mm512_fmadd_ps(_mm512_set1_ps(x[c]), _mm512_loadu_ps(w), a);
+      v = _mm512_add_ps(s, a);
+      a = _mm512_add_ps(_mm512_sub_ps(s, v), a);
+      s = v;
+   }
+   scale = dn__scale_avx512(columns, &rest, &v);
+   _mm512_storeu_ps(y, dn__bn_avx512(_mm512_add_ps(s, a), scale, rest, v));
 }
 #endif /* DN__HAS_AVX512 */
 
@@ -4243,6 +4384,7 @@ DN__TARGET_AVX512 static void dn__row_avx512(const float *x, size_t in, const fl
    #if defined(DN__F4_NEON)
       #define DN__F4_KERNEL DN_KERNEL_NEON
       #define DN__F4_ROWS 6 /* 24 sums of 32 registers */
+      #define DN__F4_RUN DN__RUN
       #define DN__F4_EACH DN__EACH6
 typedef float32x4_t dn__f4;
 static DN__INLINE dn__f4 dn__f4_load(const float *p) { return vld1q_f32(p); }
@@ -4268,6 +4410,7 @@ static DN__INLINE dn__f4 dn__f4_power(dn__f4 n) /* 2^n, n whole */
    #elif defined(DN__F4_WASM)
       #define DN__F4_KERNEL DN_KERNEL_WASM
       #define DN__F4_ROWS 3 /* 12 sums of the 16 registers that most engines have */
+      #define DN__F4_RUN DN__RUN_SHORT
       #define DN__F4_EACH DN__EACH3
 typedef v128_t dn__f4;
 static DN__INLINE dn__f4 dn__f4_load(const float *p) { return wasm_v128_load(p); }
@@ -4293,6 +4436,7 @@ static DN__INLINE dn__f4 dn__f4_power(dn__f4 n) /* 2^n, n whole */
    #else
       #define DN__F4_KERNEL DN_KERNEL_SSE
       #define DN__F4_ROWS 3
+      #define DN__F4_RUN DN__RUN_SHORT
       #define DN__F4_EACH DN__EACH3
 typedef __m128 dn__f4;
 static DN__INLINE dn__f4 dn__f4_load(const float *p) { return _mm_loadu_ps(p); }
@@ -4345,9 +4489,10 @@ static DN__INLINE dn__f4 dn__tanh_f4(dn__f4 x, int shrink) /* dn__tanh or dn__ta
    s = dn__f4_fma(s, z, dn__f4_all(DN__TANH_0));
    s = dn__f4_mul(dn__f4_mul(s, z), x); /* x - tanh x, small x */
    t = dn__exp_f4(dn__f4_mul(size, dn__f4_all(-2.0f)));
-   t = dn__f4_sub(one, dn__f4_div(dn__f4_add(t, t), dn__f4_add(one, t)));
-   t = dn__f4_pick(x, zero, dn__f4_sub(zero, t), t); /* tanh x, large x */
-   return shrink ? dn__f4_pick(size, bend, s, dn__f4_sub(x, t)) : dn__f4_pick(size, bend, dn__f4_sub(x, s), t);
+   t = dn__f4_div(dn__f4_add(t, t), dn__f4_add(one, t)); /* 1 - tanh |x| */
+   t = shrink ? dn__f4_add(dn__f4_sub(size, one), t) : dn__f4_sub(one, t);
+   t = dn__f4_pick(x, zero, dn__f4_sub(zero, t), t); /* large x */
+   return dn__f4_pick(size, bend, shrink ? s : dn__f4_sub(x, s), t);
 }
 static DN__INLINE dn__f4 dn__leaky_f4(dn__f4 x) { return dn__f4_max(dn__f4_mul(x, dn__f4_all(0.2f)), x); }
 static DN__INLINE dn__f4 dn__act_f4(dn__f4 x, dn_activation activation)
@@ -4369,66 +4514,100 @@ static void dn__activate_f4(float *y, size_t y_stride, size_t rows, size_t colum
       for (c = 0; c < columns; c += 4)
          dn__f4_store(y + r * y_stride + c, dn__act_f4(dn__f4_load(y + r * y_stride + c), activation));
 }
-/* Without a fused multiply-add every term rounds twice, so DN__RUN terms at a time are added up and then the sums: the
-   last layers of the deep networks (504 terms) have little accuracy to spare. */
-#define DN__RUN ((size_t)64)
-static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float *w, const float *bias, size_t panels,
-                        float *y, size_t y_stride)
+static DN__INLINE dn__f4 dn__carry_f4(float *total, dn__f4 run) /* as dn__carry_avx2 */
 {
-   dn__f4 w0, w1, w2, w3, v;
-   size_t n, first, last;
-   (void)panels; /* always 1 */
-#define DN__START(r) dn__f4 a##r = w0, b##r = w1, c##r = w2, d##r = w3;
+   dn__f4 before = dn__f4_load(total), after = dn__f4_add(before, run);
+   dn__f4_store(total, after);
+   return dn__f4_add(dn__f4_sub(before, after), run);
+}
+static DN__INLINE dn__f4 dn__start_f4(const float *columns, size_t at)
+{
+   return columns ? dn__f4_load(columns + at) : dn__f4_all(0.0f);
+}
+/* y = (total + run) scale + shift, four columns from `at` on */
+static DN__INLINE void dn__bn_f4(float *y, const float *total, dn__f4 run, const float *columns, size_t at)
+{
+   dn__f4 sum = dn__f4_add(dn__f4_load(total + at), run);
+   if (columns) {
+      dn__f4 shift = dn__f4_load(columns + 4 * DN_PANEL + at);
+      shift = dn__f4_fma(sum, dn__f4_load(columns + 3 * DN_PANEL + at), shift);
+      sum = dn__f4_fma(sum, dn__f4_load(columns + 2 * DN_PANEL + at), shift);
+   }
+   dn__f4_store(y + at, sum);
+}
+static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float *w, const float *columns,
+                        float *total, float *y, size_t y_stride)
+{
+   dn__f4 w0 = dn__start_f4(columns, 0), w1 = dn__start_f4(columns, 4), w2 = dn__start_f4(columns, 8),
+          w3 = dn__start_f4(columns, 12), v;
+   size_t n, end;
+#define DN__START(r)                                                                                         \
+   dn__f4 a##r = dn__start_f4(columns, 16), b##r = dn__start_f4(columns, 20),                                \
+          c##r = dn__start_f4(columns, 24), d##r = dn__start_f4(columns, 28);                                \
+   dn__f4_store(total + r * DN_PANEL, w0);                                                                   \
+   dn__f4_store(total + r * DN_PANEL + 4, w1);                                                               \
+   dn__f4_store(total + r * DN_PANEL + 8, w2);                                                               \
+   dn__f4_store(total + r * DN_PANEL + 12, w3);
 #define DN__STEP(r)                                                                                          \
    v = dn__f4_all(x[r * x_stride + n]);                                                                      \
    a##r = dn__f4_fma(v, w0, a##r);                                                                           \
    b##r = dn__f4_fma(v, w1, b##r);                                                                           \
    c##r = dn__f4_fma(v, w2, c##r);                                                                           \
    d##r = dn__f4_fma(v, w3, d##r);
+#define DN__CARRY(r)                                                                                         \
+   a##r = dn__carry_f4(total + r * DN_PANEL, a##r);                                                          \
+   b##r = dn__carry_f4(total + r * DN_PANEL + 4, b##r);                                                      \
+   c##r = dn__carry_f4(total + r * DN_PANEL + 8, c##r);                                                      \
+   d##r = dn__carry_f4(total + r * DN_PANEL + 12, d##r);
 #define DN__STORE(r)                                                                                         \
-   dn__f4_store(y + r * y_stride, first ? dn__f4_add(dn__f4_load(y + r * y_stride), a##r) : a##r);           \
-   dn__f4_store(y + r * y_stride + 4, first ? dn__f4_add(dn__f4_load(y + r * y_stride + 4), b##r) : b##r);   \
-   dn__f4_store(y + r * y_stride + 8, first ? dn__f4_add(dn__f4_load(y + r * y_stride + 8), c##r) : c##r);   \
-   dn__f4_store(y + r * y_stride + 12, first ? dn__f4_add(dn__f4_load(y + r * y_stride + 12), d##r) : d##r);
-   for (first = 0; first < in; first = last) {
-      last = dn__min(in, first + DN__RUN);
-      w0 = first ? dn__f4_all(0.0f) : dn__f4_load(bias);
-      w1 = first ? dn__f4_all(0.0f) : dn__f4_load(bias + 4);
-      w2 = first ? dn__f4_all(0.0f) : dn__f4_load(bias + 8);
-      w3 = first ? dn__f4_all(0.0f) : dn__f4_load(bias + 12);
+   dn__bn_f4(y + r * y_stride, total + r * DN_PANEL, a##r, columns, 0);                                      \
+   dn__bn_f4(y + r * y_stride, total + r * DN_PANEL, b##r, columns, 4);                                      \
+   dn__bn_f4(y + r * y_stride, total + r * DN_PANEL, c##r, columns, 8);                                      \
+   dn__bn_f4(y + r * y_stride, total + r * DN_PANEL, d##r, columns, 12);
+   {
       DN__F4_EACH(DN__START)
-      for (n = first; n < last; n++, w += DN_PANEL) {
-         w0 = dn__f4_load(w);
-         w1 = dn__f4_load(w + 4);
-         w2 = dn__f4_load(w + 8);
-         w3 = dn__f4_load(w + 12);
-         DN__F4_EACH(DN__STEP)
+      for (n = 0; n < in;) {
+         for (end = dn__min(in, n + DN__F4_RUN); n < end; n++, w += DN_PANEL) {
+            w0 = dn__f4_load(w);
+            w1 = dn__f4_load(w + 4);
+            w2 = dn__f4_load(w + 8);
+            w3 = dn__f4_load(w + 12);
+            DN__F4_EACH(DN__STEP)
+         }
+         DN__IN_MEMORY();
+         DN__F4_EACH(DN__CARRY)
       }
       DN__F4_EACH(DN__STORE)
    }
 #undef DN__START
 #undef DN__STEP
+#undef DN__CARRY
 #undef DN__STORE
 }
-static void dn__row_f4(const float *x, size_t in, const float *w, const float *bias, float *y)
+static void dn__row_f4(const float *x, size_t in, const float *w, const float *columns, float *y)
 {
-   size_t n, first, last;
-   for (first = 0; first < in; first = last) {
-      dn__f4 a = dn__f4_all(0.0f), b = a, c = a, d = a, v;
-      last = dn__min(in, first + DN__RUN);
-      if (!first) a = dn__f4_load(bias), b = dn__f4_load(bias + 4), c = dn__f4_load(bias + 8), d = dn__f4_load(bias + 12);
-      for (n = first; n < last; n++, w += DN_PANEL) {
+   float total[DN_PANEL];
+   dn__f4 a = dn__start_f4(columns, 16), b = dn__start_f4(columns, 20), c = dn__start_f4(columns, 24),
+          d = dn__start_f4(columns, 28), v;
+   size_t n, end;
+   for (n = 0; n < DN_PANEL; n += 4) dn__f4_store(total + n, dn__start_f4(columns, n));
+   for (n = 0; n < in;) {
+      for (end = dn__min(in, n + DN__F4_RUN); n < end; n++, w += DN_PANEL) {
          v = dn__f4_all(x[n]);
          a = dn__f4_fma(v, dn__f4_load(w), a);
          b = dn__f4_fma(v, dn__f4_load(w + 4), b);
          c = dn__f4_fma(v, dn__f4_load(w + 8), c);
          d = dn__f4_fma(v, dn__f4_load(w + 12), d);
       }
-      dn__f4_store(y, first ? dn__f4_add(dn__f4_load(y), a) : a);
-      dn__f4_store(y + 4, first ? dn__f4_add(dn__f4_load(y + 4), b) : b);
-      dn__f4_store(y + 8, first ? dn__f4_add(dn__f4_load(y + 8), c) : c);
-      dn__f4_store(y + 12, first ? dn__f4_add(dn__f4_load(y + 12), d) : d);
+      a = dn__carry_f4(total, a);
+      b = dn__carry_f4(total + 4, b);
+      c = dn__carry_f4(total + 8, c);
+      d = dn__carry_f4(total + 12, d);
    }
+   dn__bn_f4(y, total, a, columns, 0);
+   dn__bn_f4(y, total, b, columns, 4);
+   dn__bn_f4(y, total, c, columns, 8);
+   dn__bn_f4(y, total, d, columns, 12);
 }
 #endif /* four lanes */
 
@@ -4502,17 +4681,17 @@ DN_API const char *dn_kernel_name(void)
    return names[dn__kernel_best()];
 }
 
-/* y = act(x W^T + b), rows begin to end - 1, in tiles. A last tile that would stick out is moved back over rows
+/* y = act(bn(x W^T + b)), rows begin to end - 1, in tiles. A last tile that would stick out is moved back over rows
    already done, whose bits it repeats; fewer rows than a tile go one by one. A last panel that sticks out past `out`
    goes through a buffer. Rows outside, panels inside: a tile's rows of x stay in the first-level cache while the
    weights stream from the second. */
 static void dn__product(const dn_linear *l, const float *x, size_t x_stride, float *y, size_t y_stride, size_t begin,
                         size_t end)
 {
-   enum { ROWS = 14, COLUMNS = 32 }; /* the largest tile */
+   enum { ROWS = 14 }; /* the highest tile */
    const dn__kernel *k = dn__kernel_of(l->kernel);
-   float buffer[ROWS * COLUMNS];
-   size_t all = (l->out + DN_PANEL - 1) / DN_PANEL, r, p, rows, panels, i;
+   float buffer[ROWS * DN_PANEL], total[ROWS * DN_PANEL];
+   size_t all = (l->out + DN_PANEL - 1) / DN_PANEL, r, p, rows, i;
    if (!k) {
       dn__product_ref(l, x, x_stride, y, y_stride, begin, end);
       return;
@@ -4520,31 +4699,33 @@ static void dn__product(const dn_linear *l, const float *x, size_t x_stride, flo
    for (r = begin; r < end; r += rows) {
       rows = end - r >= k->rows ? k->rows : 1;
       if (rows == 1 && end - begin >= k->rows) r = end - k->rows, rows = k->rows;
-      for (p = 0; p < all; p += panels) {
-         const float *from = x + r * x_stride, *w = l->panels + p * l->in * DN_PANEL, *bias = l->bias + p * DN_PANEL;
-         size_t columns, fit;
+      for (p = 0; p < all; p++) {
+         const float *from = x + r * x_stride, *w = l->panels + p * l->in * DN_PANEL;
+         const float *n = l->columns ? l->columns + p * DN__COLUMN : NULL;
          float *to = y + r * y_stride + p * DN_PANEL;
-         size_t to_stride = y_stride;
-         panels = rows == 1 ? 1 : dn__min(k->panels, all - p);
-         columns = panels * DN_PANEL;
-         fit = dn__min(columns, l->out - p * DN_PANEL);
-         if (fit < columns) to = buffer, to_stride = COLUMNS;
-         if (rows == 1) k->row(from, l->in, w, bias, to);
-         else k->tile(from, x_stride, l->in, w, bias, panels, to, to_stride);
+         size_t to_stride = y_stride, fit = dn__min(DN_PANEL, l->out - p * DN_PANEL);
+         if (fit < DN_PANEL) to = buffer, to_stride = DN_PANEL;
+         if (rows == 1) k->row(from, l->in, w, n, to);
+         else k->tile(from, x_stride, l->in, w, n, total, to, to_stride);
          if (l->activation != DN_ACT_NONE && l->activation != DN_ACT_SOFTMAX)
-            k->activate(to, to_stride, rows, columns, l->activation);
-         for (i = 0; fit < columns && i < rows; i++)
+            k->activate(to, to_stride, rows, DN_PANEL, l->activation);
+         for (i = 0; fit < DN_PANEL && i < rows; i++)
             memcpy(y + (r + i) * y_stride + p * DN_PANEL, to + i * to_stride, fit * sizeof(float));
       }
       for (i = 0; l->activation == DN_ACT_SOFTMAX && i < rows; i++) dn__softmax(y + (r + i) * y_stride, l->out);
    }
 }
 
-/* --- linear layers. Packing folds the batch norm, bn(u) = (u - mean) / sqrt(var + 1e-5) weight + bias, into weight
-   and bias; folded in double, stored in float. A variance that is none gives NaN, never a trap. */
-static float dn__narrow(double x) /* to float; what does not fit saturates (a conversion would be undefined) */
+/* --- linear layers. Packing finds each column's five numbers in double. A variance that is none gives NaN, never a
+   trap. */
+static void dn__two_floats(double x, float *most, float *rest) /* rest is 0 where x does not fit or is none */
 {
-   return x > 3.4028234e38 ? 3.4028234e38f : x < -3.4028234e38 ? -3.4028234e38f : (float)x;
+   *most = dn__narrow(x);
+   *rest = dn__finite(*most) ? dn__narrow(x - (double)*most) : 0.0f;
+}
+static float *dn__panel_at(float *panels, size_t in, size_t column) /* its weights lie 16 apart from here */
+{
+   return panels + column / DN_PANEL * in * DN_PANEL + column % DN_PANEL;
 }
 /* bn(u) = scale u + shift */
 static void dn__fold(const dn_batchnorm *bn, size_t channel, double *scale, double *shift)
@@ -4555,44 +4736,48 @@ static void dn__fold(const dn_batchnorm *bn, size_t channel, double *scale, doub
    *scale = (double)bn->weight[channel] / DN_SQRT((double)bn->var[channel] + 1e-5);
    *shift = (double)bn->bias[channel] - (double)bn->mean[channel] * *scale;
 }
-static float *dn__panel_at(float *panels, size_t in, size_t column) /* its weights lie 16 apart from here */
+/* the five numbers of a column whose channel of the batch norm (NULL: none) is `channel` */
+static void dn__column_pack(float *columns, size_t column, double bias, const dn_batchnorm *bn, size_t channel)
 {
-   return panels + column / DN_PANEL * in * DN_PANEL + column % DN_PANEL;
+   float *n = dn__panel_at(columns, 5, column);
+   double scale, shift;
+   dn__fold(bn, channel, &scale, &shift);
+   dn__two_floats(bn ? bias - (double)bn->mean[channel] : bias, &n[0], &n[DN_PANEL]);
+   dn__two_floats(scale, &n[2 * DN_PANEL], &n[3 * DN_PANEL]);
+   n[4 * DN_PANEL] = bn ? bn->bias[channel] : 0.0f;
 }
-static void dn__linear_carve(dn__arena *a, size_t in, size_t out, float **panels, float **bias)
+static void dn__linear_carve(dn__arena *a, size_t in, size_t out, float **panels, float **columns)
 {
-   size_t columns = dn__round(out, DN_PANEL);
-   *panels = (float *)dn__take(a, dn__mul(columns, in), sizeof(float));
-   *bias = (float *)dn__take(a, columns, sizeof(float));
+   size_t width = dn__round(out, DN_PANEL);
+   *panels = (float *)dn__take(a, dn__mul(width, in), sizeof(float));
+   *columns = (float *)dn__take(a, dn__mul(width, 5), sizeof(float));
 }
 DN_API size_t dn_linear_size(size_t in, size_t out)
 {
    dn__arena a = dn__arena_of(NULL, 0);
-   float *panels, *bias;
-   dn__linear_carve(&a, in, out, &panels, &bias);
+   float *panels, *columns;
+   dn__linear_carve(&a, in, out, &panels, &columns);
    return in == 0 || out == 0 || dn__gauge(&a) == SIZE_MAX ? 0 : dn__gauge(&a);
 }
 DN_API void dn_linear_pack(dn_linear *layer, size_t in, size_t out, const float *weight, const float *bias,
                            const dn_batchnorm *bn, dn_activation activation, void *memory)
 {
    dn__arena a = dn__arena_of(memory, SIZE_MAX);
-   float *panels, *folded;
+   float *panels, *columns;
    size_t o, c;
    DN_ASSERT(dn_linear_size(in, out) != 0 && ((size_t)(uintptr_t)memory & (DN__ALIGN - 1)) == 0);
-   dn__linear_carve(&a, in, out, &panels, &folded);
+   dn__linear_carve(&a, in, out, &panels, &columns);
    memset(memory, 0, dn__gauge(&a)); /* columns past `out` stay zero */
    for (o = 0; o < out; o++) {
-      double scale, shift;
       float *w = dn__panel_at(panels, in, o);
-      dn__fold(bn, o, &scale, &shift);
-      for (c = 0; c < in; c++) w[c * DN_PANEL] = dn__narrow(scale * (double)weight[o * in + c]);
-      folded[o] = dn__narrow(scale * (bias ? (double)bias[o] : 0.0) + shift);
+      for (c = 0; c < in; c++) w[c * DN_PANEL] = weight[o * in + c];
+      dn__column_pack(columns, o, bias ? (double)bias[o] : 0.0, bn, o);
    }
    layer->in = in;
    layer->out = out;
    layer->activation = activation;
    layer->panels = panels;
-   layer->bias = folded;
+   layer->columns = columns;
    layer->kernel = dn__kernel_best();
 }
 DN_API void dn_linear_ref(const dn_linear *layer, const float *x, size_t x_stride, size_t rows, float *y,
@@ -4858,25 +5043,27 @@ DN_API void dn_lbs(const float *rest, const uint32_t *joint, const float *weight
         0            K*F      +K       +2K   stride (a multiple of 16)
         | z, head 0.. | dst.z  | src.z  | 0  |
 
-   Batch norm is folded into the columns of z and c. That is exact: sum_j a_ij (s z_j + t) = s sum_j a_ij z_j + t, as
-   the a_ij of a node sum to one. The logit columns are of the plain z. */
+   Batch norm is applied to the columns of z and c, before the aggregation. That is exact: sum_j a_ij (s z_j + t) =
+   s sum_j a_ij z_j + t, as the a_ij of a node sum to one. The logit columns are of the plain z.
+   For the same reason sum_j a_ij z_j = z_i + sum_j a_ij (z_j - z_i), and that is what is computed: neighbours are
+   alike, their differences small, and so is what rounding of the a_ij can do to them. */
 static size_t dn__gat_width(size_t heads, size_t features) /* of a row in scratch */
 {
    return dn__round(dn__add(dn__mul(heads, features), dn__mul(2, heads)), DN_PANEL);
 }
 static size_t dn__gat_stride(const dn_gat *b) { return dn__gat_width(b->heads, b->features); }
 static void dn__gat_carve(dn__arena *a, size_t in, size_t heads, size_t features, size_t self, float **panels,
-                          float **bias, uint32_t **head)
+                          float **columns, uint32_t **head)
 {
-   dn__linear_carve(a, in, dn__add(dn__gat_width(heads, features), self), panels, bias);
+   dn__linear_carve(a, in, dn__add(dn__gat_width(heads, features), self), panels, columns);
    *head = (uint32_t *)dn__take(a, dn__round(dn__mul(heads, features), DN_PANEL), sizeof(uint32_t));
 }
 DN_API size_t dn_gat_size(size_t in, size_t heads, size_t features, size_t self)
 {
    dn__arena a = dn__arena_of(NULL, 0);
-   float *panels, *bias;
+   float *panels, *columns;
    uint32_t *head;
-   dn__gat_carve(&a, in, heads, features, self, &panels, &bias, &head);
+   dn__gat_carve(&a, in, heads, features, self, &panels, &columns, &head);
    return in == 0 || heads == 0 || features == 0 || dn__gauge(&a) == SIZE_MAX ? 0 : dn__gauge(&a);
 }
 DN_API void dn_gat_pack(dn_gat *block, size_t in, size_t heads, size_t features, size_t self, const float *lin,
@@ -4884,22 +5071,20 @@ DN_API void dn_gat_pack(dn_gat *block, size_t in, size_t heads, size_t features,
                         dn_activation activation, void *memory)
 {
    dn__arena a = dn__arena_of(memory, SIZE_MAX);
-   float *panels, *bias, *w;
+   float *panels, *columns, *w;
    uint32_t *head;
    size_t kf = heads * features, width = dn__gat_width(heads, features), o, k, f, c;
-   double scale, shift;
    DN_ASSERT(dn_gat_size(in, heads, features, self) != 0 && ((size_t)(uintptr_t)memory & (DN__ALIGN - 1)) == 0);
    DN_ASSERT(self == 0 || self_weight);
    DN_ASSERT(activation != DN_ACT_SOFTMAX);
-   dn__gat_carve(&a, in, heads, features, self, &panels, &bias, &head);
+   dn__gat_carve(&a, in, heads, features, self, &panels, &columns, &head);
    memset(memory, 0, dn__gauge(&a));
    for (o = 0; o < kf + self; o++) {
       const float *from = o < kf ? lin + o * in : self_weight + (o - kf) * in;
       size_t column = o < kf ? o : width + (o - kf);
-      dn__fold(bn, o, &scale, &shift);
       w = dn__panel_at(panels, in, column);
-      for (c = 0; c < in; c++) w[c * DN_PANEL] = dn__narrow(scale * (double)from[c]);
-      bias[column] = dn__narrow(shift);
+      for (c = 0; c < in; c++) w[c * DN_PANEL] = from[c];
+      dn__column_pack(columns, column, 0.0, bn, o);
       if (o < kf) head[o] = (uint32_t)(o / features);
    }
    for (k = 0; k < 2 * heads; k++) { /* W_k^T dst_k, then W_k^T src_k */
@@ -4911,6 +5096,7 @@ DN_API void dn_gat_pack(dn_gat *block, size_t in, size_t heads, size_t features,
          for (f = 0; f < features; f++) sum += (double)att[f] * (double)from[f * in + c];
          w[c * DN_PANEL] = dn__narrow(sum);
       }
+      dn__column_pack(columns, kf + k, 0.0, NULL, 0);
    }
    block->in = in;
    block->heads = heads;
@@ -4918,7 +5104,7 @@ DN_API void dn_gat_pack(dn_gat *block, size_t in, size_t heads, size_t features,
    block->self = self;
    block->activation = activation;
    block->panels = panels;
-   block->bias = bias;
+   block->columns = columns;
    block->head = head;
    block->kernel = dn__kernel_best();
 }
@@ -4934,7 +5120,7 @@ static dn_linear dn__gat_z(const dn_gat *b)
    l.out = dn__gat_stride(b);
    l.activation = DN_ACT_NONE;
    l.panels = b->panels;
-   l.bias = b->bias;
+   l.columns = b->columns;
    l.kernel = b->kernel;
    return l;
 }
@@ -4942,7 +5128,7 @@ static dn_linear dn__gat_c(const dn_gat *b)
 {
    dn_linear l = dn__gat_z(b);
    l.panels += l.in * l.out;
-   l.bias += l.out;
+   l.columns += l.out / DN_PANEL * DN__COLUMN;
    l.out = b->self;
    l.activation = b->activation;
    return l;
@@ -4964,7 +5150,7 @@ static float dn__logit_most(const dn_graph *g, const float *dst, const float *sr
    }
    return most;
 }
-/* y_i = act( sum_j exp(e_ij - max) z_j / sum_j exp(e_ij - max) ) for each head, nodes begin to end - 1 */
+/* y_i = act(z_i + sum_j exp(e_ij - max) (z_j - z_i) / sum_j exp(e_ij - max)) for each head, nodes begin to end - 1 */
 static void dn__attend_ref(const dn_gat *b, const dn_graph *g, const float *z, float *y, size_t y_stride,
                            size_t begin, size_t end)
 {
@@ -4973,6 +5159,7 @@ static void dn__attend_ref(const dn_gat *b, const dn_graph *g, const float *z, f
       size_t count = (size_t)(g->first[i + 1] - g->first[i]) + 1;
       for (k = 0; k < b->heads; k++) {
          const float *dst = z + kf + k, *src = dst + b->heads; /* columns, rows `stride` apart */
+         const float *own = z + i * stride + k * b->features;  /* (F) */
          float *to = y + i * y_stride + k * b->features;       /* (F) */
          float most = dn__logit_most(g, dst, src, stride, i), sum = 0;
          for (f = 0; f < b->features; f++) to[f] = 0;
@@ -4980,9 +5167,9 @@ static void dn__attend_ref(const dn_gat *b, const dn_graph *g, const float *z, f
             size_t n = dn__member(g, i, j);
             float a = dn__exp(dn__leaky(dst[i * stride] + src[n * stride]) - most);
             sum += a;
-            for (f = 0; f < b->features; f++) to[f] += a * z[n * stride + k * b->features + f];
+            for (f = 0; f < b->features; f++) to[f] += a * (z[n * stride + k * b->features + f] - own[f]);
          }
-         for (f = 0; f < b->features; f++) to[f] = dn__activate(to[f] / sum, b->activation);
+         for (f = 0; f < b->features; f++) to[f] = dn__activate(own[f] + to[f] / sum, b->activation);
       }
    }
 }
@@ -4993,10 +5180,6 @@ static void dn__attend_ref(const dn_gat *b, const dn_graph *g, const float *z, f
    neighbours, the weight of every column drawn from the buffer by its head. A neighbourhood too large for the buffer,
    or more heads than fit, takes the reference path. */
 #define DN__WEIGHTS 512 /* floats of buffer: 64 neighbours of 8 heads */
-static DN__INLINE float *dn__cache_line(float *p) /* the first 64-byte boundary from p on, at most 15 floats away */
-{
-   return p + ((16 - ((size_t)(uintptr_t)p >> 2 & 15)) & 15);
-}
 
 #ifdef DN__HAS_AVX2
 /* e_ij - max for up to 8 heads; e (count,8), idle heads 0 */
@@ -5058,28 +5241,26 @@ DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, 
          sum = _mm256_add_ps(sum, a);
       }
       part = _mm256_div_ps(_mm256_set1_ps(1.0f), sum);
-      for (c = 0; c + 32 <= kf; c += 32) { /* four registers of columns: sum_j a_ij z_j */
+      for (c = 0; c + 32 <= kf; c += 32) { /* four registers of columns: z_i + sum_j a_ij (z_j - z_i) */
          __m256i h0 = _mm256_loadu_si256((const __m256i *)(const void *)(b->head + c));
          __m256i h1 = _mm256_loadu_si256((const __m256i *)(const void *)(b->head + c + 8));
          __m256i h2 = _mm256_loadu_si256((const __m256i *)(const void *)(b->head + c + 16));
          __m256i h3 = _mm256_loadu_si256((const __m256i *)(const void *)(b->head + c + 24));
-         __m256 a = _mm256_loadu_ps(e);
-         __m256 s0 = _mm256_mul_ps(_mm256_permutevar8x32_ps(a, h0), _mm256_loadu_ps(own + c));
-         __m256 s1 = _mm256_mul_ps(_mm256_permutevar8x32_ps(a, h1), _mm256_loadu_ps(own + c + 8));
-         __m256 s2 = _mm256_mul_ps(_mm256_permutevar8x32_ps(a, h2), _mm256_loadu_ps(own + c + 16));
-         __m256 s3 = _mm256_mul_ps(_mm256_permutevar8x32_ps(a, h3), _mm256_loadu_ps(own + c + 24));
+         __m256 z0 = _mm256_loadu_ps(own + c), z1 = _mm256_loadu_ps(own + c + 8);
+         __m256 z2 = _mm256_loadu_ps(own + c + 16), z3 = _mm256_loadu_ps(own + c + 24);
+         __m256 s0 = _mm256_setzero_ps(), s1 = s0, s2 = s0, s3 = s0, a;
          for (j = 1; j < count; j++) {
             const float *row = z + next[j - 1] * stride + c;
             a = _mm256_loadu_ps(e + j * 8);
-            s0 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h0), _mm256_loadu_ps(row), s0);
-            s1 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h1), _mm256_loadu_ps(row + 8), s1);
-            s2 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h2), _mm256_loadu_ps(row + 16), s2);
-            s3 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h3), _mm256_loadu_ps(row + 24), s3);
+            s0 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h0), _mm256_sub_ps(_mm256_loadu_ps(row), z0), s0);
+            s1 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h1), _mm256_sub_ps(_mm256_loadu_ps(row + 8), z1), s1);
+            s2 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h2), _mm256_sub_ps(_mm256_loadu_ps(row + 16), z2), s2);
+            s3 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h3), _mm256_sub_ps(_mm256_loadu_ps(row + 24), z3), s3);
          }
-         s0 = _mm256_mul_ps(s0, _mm256_permutevar8x32_ps(part, h0));
-         s1 = _mm256_mul_ps(s1, _mm256_permutevar8x32_ps(part, h1));
-         s2 = _mm256_mul_ps(s2, _mm256_permutevar8x32_ps(part, h2));
-         s3 = _mm256_mul_ps(s3, _mm256_permutevar8x32_ps(part, h3));
+         s0 = _mm256_fmadd_ps(s0, _mm256_permutevar8x32_ps(part, h0), z0);
+         s1 = _mm256_fmadd_ps(s1, _mm256_permutevar8x32_ps(part, h1), z1);
+         s2 = _mm256_fmadd_ps(s2, _mm256_permutevar8x32_ps(part, h2), z2);
+         s3 = _mm256_fmadd_ps(s3, _mm256_permutevar8x32_ps(part, h3), z3);
          _mm256_storeu_ps(to + c, dn__act_avx2(s0, b->activation));
          _mm256_storeu_ps(to + c + 8, dn__act_avx2(s1, b->activation));
          _mm256_storeu_ps(to + c + 16, dn__act_avx2(s2, b->activation));
@@ -5087,20 +5268,21 @@ DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, 
       }
       for (; c < kf; c += 8) { /* and one; a row has room for whole registers, y has not */
          __m256i h = _mm256_loadu_si256((const __m256i *)(const void *)(b->head + c));
-         __m256 s = _mm256_mul_ps(_mm256_permutevar8x32_ps(_mm256_loadu_ps(e), h), _mm256_loadu_ps(own + c));
+         __m256 zi = _mm256_loadu_ps(own + c), s = _mm256_setzero_ps();
          for (j = 1; j < count; j++)
             s = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(_mm256_loadu_ps(e + j * 8), h),
-                                _mm256_loadu_ps(z + next[j - 1] * stride + c), s);
-         s = _mm256_mul_ps(s, _mm256_permutevar8x32_ps(part, h));
+                                _mm256_sub_ps(_mm256_loadu_ps(z + next[j - 1] * stride + c), zi), s);
+         s = _mm256_fmadd_ps(s, _mm256_permutevar8x32_ps(part, h), zi);
          _mm256_maskstore_ps(to + c, dn__lanes_avx2(kf - c), dn__act_avx2(s, b->activation));
       }
    }
 }
-static const dn__kernel dn__kernel_avx2 = { 6, 1, dn__tile_avx2, dn__row_avx2, dn__activate_avx2, dn__attend_avx2 };
+static const dn__kernel dn__kernel_avx2 = { 6, dn__tile_avx2, dn__row_avx2, dn__activate_avx2, dn__attend_avx2 };
 #endif
 
 #ifdef DN__HAS_AVX512
 #define DN__WIDE(p) _mm512_castps256_ps512(_mm256_loadu_ps(p)) /* eight weights; the upper lanes are not drawn from */
+#define DN__DRAW(head, a) _mm512_maskz_permutexvar_ps(DN__ALL, head, a) /* each column its head's weight */
 DN__TARGET_AVX512 static DN__INLINE __mmask16 dn__lanes_avx512(size_t count) /* the first `count` of 16 */
 {
    return (__mmask16)(count < 16 ? (1u << count) - 1u : 0xffffu);
@@ -5131,26 +5313,24 @@ DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph 
       }
       for (j = 0; j < count; j++) sum = _mm256_add_ps(sum, _mm256_loadu_ps(e + j * 8));
       part = _mm512_castps256_ps512(_mm256_div_ps(_mm256_set1_ps(1.0f), sum));
-      for (c = 0; c + 64 <= kf; c += 64) { /* four registers of columns: sum_j a_ij z_j */
+      for (c = 0; c + 64 <= kf; c += 64) { /* four registers of columns: z_i + sum_j a_ij (z_j - z_i) */
          __m512i h0 = _mm512_loadu_si512(b->head + c), h1 = _mm512_loadu_si512(b->head + c + 16);
          __m512i h2 = _mm512_loadu_si512(b->head + c + 32), h3 = _mm512_loadu_si512(b->head + c + 48);
-         __m512 a = DN__WIDE(e);
-         __m512 s0 = _mm512_mul_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h0, a), _mm512_loadu_ps(own + c));
-         __m512 s1 = _mm512_mul_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h1, a), _mm512_loadu_ps(own + c + 16));
-         __m512 s2 = _mm512_mul_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h2, a), _mm512_loadu_ps(own + c + 32));
-         __m512 s3 = _mm512_mul_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h3, a), _mm512_loadu_ps(own + c + 48));
+         __m512 z0 = _mm512_loadu_ps(own + c), z1 = _mm512_loadu_ps(own + c + 16);
+         __m512 z2 = _mm512_loadu_ps(own + c + 32), z3 = _mm512_loadu_ps(own + c + 48);
+         __m512 s0 = _mm512_setzero_ps(), s1 = s0, s2 = s0, s3 = s0, a;
          for (j = 1; j < count; j++) {
             const float *row = z + next[j - 1] * stride + c;
             a = DN__WIDE(e + j * 8);
-            s0 = _mm512_fmadd_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h0, a), _mm512_loadu_ps(row), s0);
-            s1 = _mm512_fmadd_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h1, a), _mm512_loadu_ps(row + 16), s1);
-            s2 = _mm512_fmadd_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h2, a), _mm512_loadu_ps(row + 32), s2);
-            s3 = _mm512_fmadd_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h3, a), _mm512_loadu_ps(row + 48), s3);
+            s0 = _mm512_fmadd_ps(DN__DRAW(h0, a), _mm512_sub_ps(_mm512_loadu_ps(row), z0), s0);
+            s1 = _mm512_fmadd_ps(DN__DRAW(h1, a), _mm512_sub_ps(_mm512_loadu_ps(row + 16), z1), s1);
+            s2 = _mm512_fmadd_ps(DN__DRAW(h2, a), _mm512_sub_ps(_mm512_loadu_ps(row + 32), z2), s2);
+            s3 = _mm512_fmadd_ps(DN__DRAW(h3, a), _mm512_sub_ps(_mm512_loadu_ps(row + 48), z3), s3);
          }
-         s0 = _mm512_mul_ps(s0, _mm512_maskz_permutexvar_ps(DN__ALL, h0, part));
-         s1 = _mm512_mul_ps(s1, _mm512_maskz_permutexvar_ps(DN__ALL, h1, part));
-         s2 = _mm512_mul_ps(s2, _mm512_maskz_permutexvar_ps(DN__ALL, h2, part));
-         s3 = _mm512_mul_ps(s3, _mm512_maskz_permutexvar_ps(DN__ALL, h3, part));
+         s0 = _mm512_fmadd_ps(s0, DN__DRAW(h0, part), z0);
+         s1 = _mm512_fmadd_ps(s1, DN__DRAW(h1, part), z1);
+         s2 = _mm512_fmadd_ps(s2, DN__DRAW(h2, part), z2);
+         s3 = _mm512_fmadd_ps(s3, DN__DRAW(h3, part), z3);
          _mm512_storeu_ps(to + c, dn__act_avx512(s0, b->activation));
          _mm512_storeu_ps(to + c + 16, dn__act_avx512(s1, b->activation));
          _mm512_storeu_ps(to + c + 32, dn__act_avx512(s2, b->activation));
@@ -5158,17 +5338,18 @@ DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph 
       }
       for (; c < kf; c += 16) { /* and one; a row has room for whole registers, y has not */
          __m512i h = _mm512_loadu_si512(b->head + c);
-         __m512 s = _mm512_mul_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h, DN__WIDE(e)), _mm512_loadu_ps(own + c));
+         __m512 zi = _mm512_loadu_ps(own + c), s = _mm512_setzero_ps();
          for (j = 1; j < count; j++)
-            s = _mm512_fmadd_ps(_mm512_maskz_permutexvar_ps(DN__ALL, h, DN__WIDE(e + j * 8)),
-                                _mm512_loadu_ps(z + next[j - 1] * stride + c), s);
-         s = _mm512_mul_ps(s, _mm512_maskz_permutexvar_ps(DN__ALL, h, part));
+            s = _mm512_fmadd_ps(DN__DRAW(h, DN__WIDE(e + j * 8)),
+                                _mm512_sub_ps(_mm512_loadu_ps(z + next[j - 1] * stride + c), zi), s);
+         s = _mm512_fmadd_ps(s, DN__DRAW(h, part), zi);
          _mm512_mask_storeu_ps(to + c, dn__lanes_avx512(kf - c), dn__act_avx512(s, b->activation));
       }
    }
 }
 #undef DN__WIDE
-static const dn__kernel dn__kernel_avx512 = { 14, 2, dn__tile_avx512, dn__row_avx512, dn__activate_avx512,
+#undef DN__DRAW
+static const dn__kernel dn__kernel_avx512 = { 14, dn__tile_avx512, dn__row_avx512, dn__activate_avx512,
                                               dn__attend_avx512 };
 #endif
 
@@ -5222,17 +5403,17 @@ static void dn__attend_f4(const dn_gat *b, const dn_graph *g, const float *z, fl
          }
          dn__f4_store(part + k, dn__f4_div(dn__f4_all(1.0f), sum));
       }
-      for (c = 0; c < kf; c += 4) { /* sum_j a_ij z_j; a row has room for whole registers, y has not */
-         dn__f4 s = dn__f4_mul(dn__draw_f4(e, b->head + c, one), dn__f4_load(own + c));
+      for (c = 0; c < kf; c += 4) { /* z_i + sum_j a_ij (z_j - z_i); a row has room for whole registers, y has not */
+         dn__f4 zi = dn__f4_load(own + c), s = dn__f4_all(0.0f);
          for (j = 1; j < count; j++)
             s = dn__f4_fma(dn__draw_f4(e + j * pitch, b->head + c, one),
-                           dn__f4_load(z + next[j - 1] * stride + c), s);
-         s = dn__f4_mul(s, dn__draw_f4(part, b->head + c, one));
+                           dn__f4_sub(dn__f4_load(z + next[j - 1] * stride + c), zi), s);
+         s = dn__f4_fma(s, dn__draw_f4(part, b->head + c, one), zi);
          dn__store_f4(to + c, kf - c, dn__act_f4(s, b->activation));
       }
    }
 }
-static const dn__kernel dn__kernel_f4 = { DN__F4_ROWS, 1, dn__tile_f4, dn__row_f4, dn__activate_f4, dn__attend_f4 };
+static const dn__kernel dn__kernel_f4 = { DN__F4_ROWS, dn__tile_f4, dn__row_f4, dn__activate_f4, dn__attend_f4 };
 #endif
 
 static const dn__kernel *dn__kernel_of(dn_kernel kernel)
@@ -5719,7 +5900,7 @@ typedef struct dn__stage { /* what goes into a network and comes out; clothnet i
    dn_feature features[DN__MAX_FEATURES];
    size_t feature_count, row_width;
    size_t fit;                             /* n of fit:n */
-   const float *input_mean, *input_scale;  /* (D), scale = 1/std; NULL when absent */
+   const float *input_mean, *input_std;    /* (D); NULL when absent */
    float output_mean[3], output_std[3];
 } dn__stage;
 typedef struct dn__branch { /* blocks around a pool, and the layers after them */
@@ -6281,23 +6462,23 @@ static void dn__load_scales(dn__loader *l, dn__stage *stage, const char *prefix)
    dn__join(mean_name, sizeof mean_name, prefix, "input.mean");
    dn__join(std_name, sizeof std_name, prefix, "input.std");
    if (dn_tensors_find(l->file, mean_name) || dn_tensors_find(l->file, std_name)) {
-      float *kept_mean, *kept_scale;
+      float *kept_mean, *kept_std;
       mean = dn__maybe(l, mean_name, stage->row_width);
       std = dn__maybe(l, std_name, stage->row_width);
       kept_mean = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
-      kept_scale = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
+      kept_std = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
       if (l->packing && !l->failed) {
          for (i = 0; i < stage->row_width; i++) {
             kept_mean[i] = mean ? mean[i] : 0.0f;
-            kept_scale[i] = std ? 1.0f / std[i] : 1.0f;
-            if (!dn__finite(kept_scale[i])) {
+            kept_std[i] = std ? std[i] : 1.0f;
+            if (!dn__finite(1.0f / kept_std[i])) {
                char text[80];
                dn__number(text, sizeof text, ": element ", i, " is zero or too small to divide by");
                dn__load_fail(l, DN_BAD_VALUE, std_name, text);
             }
          }
          stage->input_mean = kept_mean;
-         stage->input_scale = kept_scale;
+         stage->input_std = kept_std;
       }
    }
    dn__join(mean_name, sizeof mean_name, prefix, "output.mean");
@@ -7857,7 +8038,7 @@ static void dn__normalise_range(void *job, size_t begin, size_t end, unsigned wo
    size_t i, k, D = m->row_width;
    (void)worker;
    for (i = begin; i < end; i++)
-      for (k = 0; k < D; k++) j->rows[i * D + k] = (j->rows[i * D + k] - m->input_mean[k]) * m->input_scale[k];
+      for (k = 0; k < D; k++) j->rows[i * D + k] = (j->rows[i * D + k] - m->input_mean[k]) / m->input_std[k];
 }
 static void dn__normalise(const dn__stage *stage, float *rows, size_t nodes, const dn_parallel *parallel)
 {
@@ -11617,7 +11798,7 @@ static size_t dn__conv_slice(const dn_meshconv *l, const dn__conv_work *w, size_
    part.out = columns;
    part.activation = DN_ACT_NONE;
    part.panels = l->panels + column * terms;
-   part.bias = l->zero;
+   part.columns = NULL; /* plain sums */
    part.kernel = l->kernel;
    for (i = 0; i < count; i++)
       for (c = 0; c < columns; c++) w->sums[i * columns + c] = (double)l->bias[column + c];
@@ -12903,6 +13084,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__ALL
 #undef DN__BLOCK
 #undef DN__BUCKETS
+#undef DN__COLUMN
 #undef DN__EACH14
 #undef DN__EACH3
 #undef DN__EACH6
@@ -12917,6 +13099,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__F4_KERNEL
 #undef DN__F4_NEON
 #undef DN__F4_ROWS
+#undef DN__F4_RUN
 #undef DN__F4_SSE
 #undef DN__F4_WASM
 #undef DN__FAR
@@ -12926,6 +13109,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__HAS_F4
 #undef DN__HEADER_CAP
 #undef DN__INLINE
+#undef DN__IN_MEMORY
 #undef DN__LBS_MANY
 #undef DN__LN2_HIGH
 #undef DN__LN2_LOW
@@ -12935,6 +13119,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__PROBE_CAP
 #undef DN__RANK_CAP
 #undef DN__RUN
+#undef DN__RUN_SHORT
 #undef DN__SEEDS
 #undef DN__SOURCE
 #undef DN__TANH_0

@@ -7,8 +7,8 @@
 #         WORK        folder for everything that is made, about 12 GB
 #         HOLD="a,b"  characters kept out, HOLD_MOTIONS="x"  motions kept out (environment)
 # needs   make flesh libdeformnet.so; python3 with numpy and torch. About a second a pose: some ten hours on two cores
-#         before training at full size; SCALE=4 makes a quarter of the poses
-# makes   WORK/characters: CHARACTERS, 14 parametric bodies, warped copies of them (proportions; --rigging: joints and weights too)
+#         before training at full size; SCALE=4 makes a quarter of the poses, BODIES=2 as many parametric bodies instead of 14
+# makes   WORK/characters: CHARACTERS, BODIES parametric bodies, warped copies of them (proportions; --rigging: joints and weights too)
 #         WORK/truth: for each, poses recombined from the motions, poses drawn from ranges.json, mild poses, the rest pose
 cd "$(dirname "$0")" || exit 2
 [ $# -ge 4 ] || { sed -n '2,13s/^# //p' "$0"; exit 2; }
@@ -22,7 +22,7 @@ for m in "$motions"/*.glb; do
    [[ $hold_motions == *",$name,"* ]] || clips+=("$m")
 done
 cp -n "$characters"/*.glb "$work"/characters/
-[ -f "$work"/characters/body_1_0.glb ] || $python bodies.py --body "$body" --count 14 --seed 1 --out "$work"/characters || exit 1
+[ -f "$work"/characters/body_1_0.glb ] || $python bodies.py --body "$body" --count "${BODIES:-14}" --seed 1 --out "$work"/characters || exit 1
 seed=100
 for c in "$work"/characters/*.glb; do # warped copies of those that may be trained on
    name=$(basename "$c" .glb)
@@ -43,7 +43,13 @@ truth() # truth CHARACTER NAME POSES... : one motion of random poses, one truth 
 }
 for c in "$work"/characters/*.glb; do
    name=$(basename "$c" .glb)
-   [[ $hold == *",$name,"* ]] && continue
+   if [[ $hold == *",$name,"* ]]; then # what validation measures: kept out, character and motion
+      for m in ${HOLD_MOTIONS//,/ }; do
+         out=$work/truth/${name}__$m.safetensors
+         [ -f "$out" ] || ./flesh --character "$c" --motion "$motions/$m.glb" --step $((5 * scale)) --out "$out" || exit 1
+      done
+      continue
+   fi
    n=$((240 / scale)) # of each kind
    [[ $name == *_warp_* ]] && n=$((12 / scale))
    ((n < 2)) && n=2
