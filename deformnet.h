@@ -392,8 +392,8 @@ DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scrat
    in floats, so that several blocks can share one wide row (a dense module concatenates in place).
    All of them: re-entrant, no allocation, memory and scratch 64-byte aligned; out must not overlap in unless said;
    bits independent of parallel; sizes that do not match are the caller's mistake, asserted where they can be seen.
-   dn_linear, dn_gat and dn_pool_contract have a plain *_ref twin, the specification: the first two stay within
-   1e-5 + 1e-4 |x| of it, the third equals it. The others are plain loops over those. */
+   Each has a plain *_ref twin, the specification (dn_pool_rescore: dn_pool_scores_ref of the chosen pairs):
+   dn_pool_contract equals it, the others stay within 1e-5 + 1e-4 |x| of it. */
 #define DN_PANEL 16
 
 /* Which text runs. Packing a layer stores the fastest one that works here in its `kernel`; tests and benchmarks
@@ -467,6 +467,8 @@ DN_API void dn_gat_attention(const dn_gat *block, const dn_graph *g, const float
                all `width` columns hold x_m, written in place from right to left, nothing copied
     width      blocks[0].in + sum of the blocks' widths
     scratch    the largest dn_gat_scratch of the blocks */
+DN_API void dn_dense_ref(const dn_gat *blocks, size_t count, const dn_graph *g, float *rows, size_t row_stride, size_t width,
+                         void *scratch);
 DN_API void dn_dense_run(const dn_gat *blocks, size_t count, const dn_graph *g, float *rows, size_t row_stride, size_t width,
                          void *scratch, const dn_parallel *parallel);
 
@@ -493,6 +495,7 @@ DN_API void dn_pool_pack(dn_pool *pool, size_t in, size_t features, const float 
                          const float *att_src, float offset, void *memory);
 DN_API size_t dn_pool_scratch(size_t nodes, size_t neighbours /* 2E */); /* bytes for the calls below */
 /*  v (N,in) -> scores (2E), one per entry of g->next; those of a node sum to one                          T 3.10 */
+DN_API void dn_pool_scores_ref(const dn_pool *pool, const dn_graph *g, const float *v, size_t v_stride, float *scores);
 DN_API void dn_pool_scores(const dn_pool *pool, const dn_graph *g, const float *v, size_t v_stride, float *scores,
                            void *scratch, const dn_parallel *parallel);
 /*  the greedy contraction and the coarse graph, from the scores */
@@ -503,8 +506,12 @@ DN_API void dn_pool_contract_ref(const dn_graph *g, const float *scores, dn_clus
 DN_API void dn_pool_rescore(const dn_pool *pool, const dn_graph *g, const float *v, size_t v_stride, dn_clusters *clusters,
                             const dn_parallel *parallel);
 /*  coarse (M,width) = score (v_i + v_j), or v_i alone; then back: both members get g / score */
+DN_API void dn_pool_gather_ref(const dn_pool *pool, const dn_clusters *c, const float *v, size_t v_stride, size_t width,
+                               float *coarse, size_t coarse_stride);
 DN_API void dn_pool_gather(const dn_pool *pool, const dn_clusters *c, const float *v, size_t v_stride, size_t width,
                            float *coarse, size_t coarse_stride, const dn_parallel *parallel);
+DN_API void dn_pool_scatter_ref(const dn_pool *pool, const dn_clusters *c, const float *coarse, size_t coarse_stride,
+                                size_t width, size_t nodes, float *v, size_t v_stride);
 DN_API void dn_pool_scatter(const dn_pool *pool, const dn_clusters *c, const float *coarse, size_t coarse_stride, size_t width,
                             size_t nodes, float *v, size_t v_stride, const dn_parallel *parallel);
 
@@ -5500,6 +5507,17 @@ DN_API void dn_gat_attention(const dn_gat *block, const dn_graph *g, const float
 
         | f_2(x_2) | f_1(x_1) | f_0(x_0) | x_0 |
                               ^ x_1 starts here                */
+DN_API void dn_dense_ref(const dn_gat *blocks, size_t count, const dn_graph *g, float *rows, size_t row_stride,
+                         size_t width, void *scratch)
+{
+   size_t b;
+   float *x = rows + (count ? width - blocks[0].in : 0); /* x_b, in + made before it wide */
+   for (b = 0; b < count; b++) {
+      float *f = x - (blocks[b].heads * blocks[b].features + blocks[b].self);
+      dn_gat_ref(&blocks[b], g, x, row_stride, f, row_stride, scratch);
+      x = f; /* x_{b+1} = f_b(x_b) || x_b: where f starts */
+   }
+}
 DN_API void dn_dense_run(const dn_gat *blocks, size_t count, const dn_graph *g, float *rows, size_t row_stride,
                          size_t width, void *scratch, const dn_parallel *parallel)
 {
@@ -5516,7 +5534,8 @@ DN_API void dn_dense_run(const dn_gat *blocks, size_t count, const dn_graph *g, 
    in       rows v (N,d), graph (CSR)      out  clusters: pairs, scores, the coarse graph
    touches  the clusters' arrays and the scratch passed in
    paper    T 3.10-3.12; after Diehl, Edge Contraction Pooling for Graph Neural Networks, 2019
-   read     dn_pool_contract_ref first; dn_pool_contract does the same in linear time */
+   read     dn_pool_scores_ref, dn_pool_contract_ref, dn_pool_gather_ref, dn_pool_scatter_ref first; the others do the
+            same, over ranges of a job, the contraction in linear time */
 DN_API size_t dn_pool_size(size_t in, size_t features)
 {
    size_t bytes = dn__mul(2, dn__round(dn__mul(in, sizeof(float)), DN__ALIGN));
@@ -5541,6 +5560,21 @@ DN_API void dn_pool_pack(dn_pool *pool, size_t in, size_t features, const float 
    pool->dst = dst;
    pool->src = src;
    pool->offset = offset;
+}
+DN_API void dn_pool_scores_ref(const dn_pool *pool, const dn_graph *g, const float *v, size_t v_stride, float *scores)
+{
+   size_t i, e, c;
+   for (i = 0; i < g->nodes; i++) {
+      size_t from = g->first[i], to = g->first[i + 1];
+      for (e = from; e < to; e++) { /* leaky(dst . z_i + src . z_j), z = W v */
+         const float *vi = v + i * v_stride, *vj = v + g->next[e] * v_stride;
+         double sum = 0;
+         for (c = 0; c < pool->in; c++)
+            sum += (double)pool->dst[c] * (double)vi[c] + (double)pool->src[c] * (double)vj[c];
+         scores[e] = dn__leaky(dn__narrow(sum));
+      }
+      if (from < to) dn__softmax(scores + from, to - from); /* over N(i), i itself left out: T 3.10 */
+   }
 }
 static float dn__dot(const float *a, const float *b, size_t count) /* eight partial sums: compilers vectorise this */
 {
@@ -5821,6 +5855,28 @@ static float dn__pool_factor(const dn_pool *pool, const dn_clusters *c, size_t m
 {
    float s = c->score[m] + pool->offset;
    return s < 1e-6f ? 1e-6f : s;
+}
+DN_API void dn_pool_gather_ref(const dn_pool *pool, const dn_clusters *c, const float *v, size_t v_stride, size_t width,
+                               float *coarse, size_t coarse_stride)
+{
+   size_t m, x;
+   for (m = 0; m < c->count; m++) {
+      size_t i = c->members[2 * m], j = c->members[2 * m + 1];
+      for (x = 0; x < width; x++) {
+         float vi = v[i * v_stride + x], vj = v[j * v_stride + x];
+         coarse[m * coarse_stride + x] = i == j ? vi : dn__pool_factor(pool, c, m) * (vi + vj); /* T 3.11 */
+      }
+   }
+}
+DN_API void dn_pool_scatter_ref(const dn_pool *pool, const dn_clusters *c, const float *coarse, size_t coarse_stride,
+                                size_t width, size_t nodes, float *v, size_t v_stride)
+{
+   size_t i, x;
+   for (i = 0; i < nodes; i++) {
+      size_t m = c->cluster[i];
+      float s = c->members[2 * m] == c->members[2 * m + 1] ? 1.0f : dn__pool_factor(pool, c, m);
+      for (x = 0; x < width; x++) v[i * v_stride + x] = coarse[m * coarse_stride + x] / s; /* T 3.12 */
+   }
 }
 static void dn__pool_gather_range(void *job, size_t begin, size_t end, unsigned worker)
 {
@@ -13085,6 +13141,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__BLOCK
 #undef DN__BUCKETS
 #undef DN__COLUMN
+#undef DN__COLUMN
 #undef DN__EACH14
 #undef DN__EACH3
 #undef DN__EACH6
@@ -13100,6 +13157,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__F4_NEON
 #undef DN__F4_ROWS
 #undef DN__F4_RUN
+#undef DN__F4_RUN
 #undef DN__F4_SSE
 #undef DN__F4_WASM
 #undef DN__FAR
@@ -13110,6 +13168,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__HEADER_CAP
 #undef DN__INLINE
 #undef DN__IN_MEMORY
+#undef DN__IN_MEMORY
 #undef DN__LBS_MANY
 #undef DN__LN2_HIGH
 #undef DN__LN2_LOW
@@ -13119,6 +13178,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__PROBE_CAP
 #undef DN__RANK_CAP
 #undef DN__RUN
+#undef DN__RUN_SHORT
 #undef DN__RUN_SHORT
 #undef DN__SEEDS
 #undef DN__SOURCE

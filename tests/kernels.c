@@ -1,7 +1,8 @@
 /*  kernels.c - every kernel this machine runs against the plain text, and the plain text against double precision
 
     shows   exp and tanh over their ranges; products and attention on random shapes with tails, strides and misaligned
-            pointers, nothing written outside; dense modules; any split over threads gives the same bits
+            pointers, nothing written outside; what sums of up to 12288 terms and batch norms lose to rounding; dense
+            modules; any split over threads gives the same bits
     build   cc -O2 kernels.c -o kernels -lm */
 #define DEFORMNET_IMPLEMENTATION
 #define DEFORMNET_STATIC
@@ -242,6 +243,99 @@ TEST(the_reference_is_the_definition)
       free(w), free(x), free(q), free(y);
    }
 }
+/* Terms added one after another in float lose more the more they are: 7 units at 504 terms, 34 at 12288. The unit is
+   2^-24 sqrt(sum (w x)^2), the rounding of one number of the sum's size. */
+static double sum_error(dn_kernel kernel, uint64_t *seed, size_t in)
+{
+   enum { OUT = 19, ROWS = 31 };
+   float *w = random_floats(seed, OUT * in, 1), *x = random_floats(seed, ROWS * in, 1), y[ROWS * OUT];
+   void *memory = test_aligned(dn_linear_size(in, OUT));
+   double square = 0;
+   dn_linear l;
+   size_t r, o, c;
+   dn_linear_pack(&l, in, OUT, w, NULL, NULL, DN_ACT_NONE, memory);
+   l.kernel = kernel;
+   dn_linear_run(&l, x, in, ROWS, y, OUT, NULL);
+   for (r = 0; r < ROWS; r++)
+      for (o = 0; o < OUT; o++) {
+         double sum = 0, size = 0, error;
+         for (c = 0; c < in; c++) {
+            double term = (double)w[o * in + c] * (double)x[r * in + c];
+            sum += term;
+            size += term * term;
+         }
+         error = ((double)y[r * OUT + o] - sum) / ldexp(sqrt(size), -24);
+         square += error * error;
+      }
+   test_aligned_free(memory);
+   free(w), free(x);
+   return sqrt(square / (ROWS * OUT));
+}
+TEST(long_sums_round_little)
+{
+   static const size_t widths[] = { 72, 504, 1024, 4096, 12288 };
+   int k;
+   for (k = 0; k < DN_KERNEL_COUNT; k++) {
+      uint64_t seed = 101;
+      size_t i;
+      if (!dn_kernel_available((dn_kernel)k)) continue;
+      printf("   kernel %d:", k);
+      for (i = 0; i < sizeof widths / sizeof *widths; i++) {
+         double e = sum_error((dn_kernel)k, &seed, widths[i]);
+         printf(" %lu terms %.2f", (unsigned long)widths[i], e);
+         CHECK_MSG(e < 2.5, "kernel %d: %lu terms lose %.2f roundings", k, (unsigned long)widths[i], e);
+      }
+      printf("\n");
+   }
+}
+/* What is the same for every row must not be rounded for every row: weights times a batch norm's scale, b - mean. The
+   rows are alike, as a mesh's are, so the error of a rounded constant (7 units) stays when the rows' own average out. */
+TEST(constants_do_not_round)
+{
+   enum { IN = 96, OUT = 33, ROWS = 2000 };
+   int k;
+   for (k = 0; k < DN_KERNEL_COUNT; k++) {
+      uint64_t seed = 103;
+      float *w, *x, *y, *q;
+      dn_batchnorm bn;
+      dn_linear l;
+      void *memory;
+      double square = 0;
+      size_t r, o, c;
+      if (!dn_kernel_available((dn_kernel)k)) continue;
+      w = random_floats(&seed, OUT * IN, 1), x = random_floats(&seed, ROWS * IN, 0.3f);
+      y = (float *)test_block(ROWS * OUT * 4), q = random_floats(&seed, 5 * OUT, 1);
+      memory = test_aligned(dn_linear_size(IN, OUT));
+      for (c = 0; c < IN; c++) { /* rows around one in the middle */
+         float middle = test_uniform(&seed, -1, 1);
+         for (r = 0; r < ROWS; r++) x[r * IN + c] += middle;
+      }
+      bn.weight = q, bn.bias = q + OUT, bn.mean = q + 2 * OUT, bn.var = q + 3 * OUT;
+      for (o = 0; o < OUT; o++) q[3 * OUT + o] = 1.5f + q[3 * OUT + o];
+      dn_linear_pack(&l, IN, OUT, w, q + 4 * OUT, &bn, DN_ACT_NONE, memory);
+      l.kernel = (dn_kernel)k;
+      dn_linear_run(&l, x, IN, ROWS, y, OUT, NULL);
+      for (o = 0; o < OUT; o++) {
+         double scale = (double)bn.weight[o] / sqrt((double)bn.var[o] + 1e-5), size = 0, error = 0;
+         for (r = 0; r < ROWS; r++) {
+            double u = (double)q[4 * OUT + o] - (double)bn.mean[o];
+            for (c = 0; c < IN; c++) {
+               double term = (double)w[o * IN + c] * (double)x[r * IN + c];
+               u += term;
+               size += term * term;
+            }
+            error += (double)y[r * OUT + o] - (u * scale + (double)bn.bias[o]);
+         }
+         error /= ROWS * ldexp(fabs(scale) * sqrt(size / ROWS), -24);
+         square += error * error;
+      }
+      square = sqrt(square / OUT);
+      printf("   kernel %d: %.3f roundings of a row, on average over %d rows\n", k, square, ROWS);
+      CHECK_MSG(square < 0.6, "kernel %d: %.3f roundings are the same in all rows", k, square);
+      test_aligned_free(memory);
+      free(w), free(x), free(y), free(q);
+   }
+}
 TEST(strange_variances_stay_numbers_or_nan)
 {
    static const float w[] = { 1, 2, 3, 4 };
@@ -439,6 +533,40 @@ TEST(attention_is_the_definition)
       free(v), free(y), free(alpha), free(z);
    }
 }
+/* nodes that are all alike: whatever the attention, sum_j a_ij z_j is z_i, to the last bit */
+TEST(alike_neighbours_change_nothing)
+{
+   int k;
+   size_t cases = 0;
+   for (k = 0; k < DN_KERNEL_COUNT; k++) {
+      uint64_t seed = 107;
+      size_t n;
+      if (!dn_kernel_available((dn_kernel)k)) continue;
+      for (n = 0; n < 12; n++, cases++) {
+         size_t in = pick(&seed, 1, 80), K = pick(&seed, 1, 9), F = pick(&seed, 1, 40), B = pick(&seed, 0, 20);
+         size_t N = 40, i;
+         gat_case c = random_gat(&seed, in, K, F, B, DN_ACT_NONE, 1);
+         ring_graph r = random_graph(&seed, N, 3 * N, n % 2 ? 30 : 0);
+         float *row = random_floats(&seed, in, 1), *v = (float *)test_block(N * in * 4);
+         float *y = (float *)test_block(N * c.width * 4), *z = (float *)test_block(K * F * 4);
+         void *scratch = test_aligned(dn_gat_scratch(&c.block, N)), *memory = test_aligned(dn_linear_size(in, K * F));
+         dn_batchnorm bn;
+         dn_linear l;
+         bn.weight = c.bn, bn.bias = c.bn + c.width, bn.mean = c.bn + 2 * c.width, bn.var = c.bn + 3 * c.width;
+         dn_linear_pack(&l, in, K * F, c.lin, NULL, &bn, DN_ACT_NONE, memory);
+         c.block.kernel = l.kernel = (dn_kernel)k;
+         dn_linear_run(&l, row, in, 1, z, K * F, NULL);
+         for (i = 0; i < N; i++) memcpy(v + i * in, row, in * 4);
+         dn_gat_run(&c.block, &r.g, v, in, y, c.width, scratch, NULL);
+         for (i = 0; i < N; i++) CHECK(same_bits(y + i * c.width, z, K * F * 4));
+         test_aligned_free(scratch), test_aligned_free(memory);
+         graph_free(&r);
+         gat_free(&c);
+         free(row), free(v), free(y), free(z);
+      }
+   }
+   AT_LEAST(cases, 12, "blocks");
+}
 TEST(large_logits_do_not_overflow)
 {
    int k;
@@ -536,6 +664,9 @@ TEST(bits_do_not_depend_on_the_split)
             dn_dense_run(blocks, 3, &r.g, other, row, row, scratch, &split);
             CHECK(same_bits(one, other, N * row * 4));
          }
+         memcpy(other, start, N * row * 4);
+         dn_dense_ref(blocks, 3, &r.g, other, row, row, scratch);
+         CHECK(rows_differ(one, other, N, row, row) == 0);
          /* and the module is its blocks, one after the other, copied by hand: T 3.6 */
          for (b = 0, in = 21; b < 3; b++, in += 31) {
             float *y = (float *)test_block(N * 31 * 4);
@@ -579,10 +710,13 @@ int main(int argc, char **argv)
    RUN(activations_at_their_corners);
    RUN(the_reference_is_the_definition);
    RUN(products_equal_the_reference);
+   RUN(long_sums_round_little);
+   RUN(constants_do_not_round);
    RUN(strange_variances_stay_numbers_or_nan);
    RUN(sizes_that_do_not_fit_are_refused);
    RUN(attention_is_the_definition);
    RUN(attention_equals_the_reference);
+   RUN(alike_neighbours_change_nothing);
    RUN(large_logits_do_not_overflow);
    RUN(nan_stays_in_its_neighbourhood);
    RUN(bits_do_not_depend_on_the_split);

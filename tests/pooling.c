@@ -249,8 +249,11 @@ TEST(scores_are_the_definition)
       pool_case p = random_pool(&seed, in, pick(&seed, 1, 9), 0);
       meshy m = random_meshy(&seed, N, (int)(n % KINDS));
       float *v = random_floats(&seed, N * stride, 1), *s = (float *)test_block(m.edges * 4);
+      float *plain = (float *)test_block(m.edges * 4);
       double *dst = (double *)test_block(N * sizeof(double)), *src = (double *)test_block(N * sizeof(double));
       dn_pool_scores(&p.pool, &m.g, v, stride, s, m.scratch, NULL);
+      dn_pool_scores_ref(&p.pool, &m.g, v, stride, plain);
+      for (e = 0; e < m.edges; e++) CHECK(close_to((double)s[e], (double)plain[e]));
       for (i = 0; i < N; i++)
          for (dst[i] = src[i] = 0, f = 0; f < p.features; f++) {
             double z = 0;
@@ -278,7 +281,7 @@ TEST(scores_are_the_definition)
          dn_pool_rescore(&p.pool, &m.g, v, stride, &m.c, NULL);
          CHECK(close_to((double)m.c.score[i], (double)kept));
       }
-      free(v), free(s), free(dst), free(src);
+      free(v), free(s), free(plain), free(dst), free(src);
       meshy_free(&m);
       pool_free(&p);
    }
@@ -295,6 +298,7 @@ TEST(gather_and_scatter_are_the_formulas)
       meshy m = random_meshy(&seed, N, (int)(n % KINDS));
       float *s = random_floats(&seed, m.edges, 1), *v = random_floats(&seed, N * vs, 1);
       float *coarse = (float *)test_block(N * cs * 4), *back = (float *)test_block(N * vs * 4);
+      float *plain = (float *)test_block(N * vs * 4);
       for (i = 0; i < m.edges; i++) s[i] = fabsf(s[i]) * (pick(&seed, 0, 3) ? 1e-6f : 1.0f);
       dn_pool_contract(&m.g, s, &m.c, m.scratch);
       dn_pool_gather(&p.pool, &m.c, v, vs, width, coarse, cs, NULL);
@@ -313,7 +317,13 @@ TEST(gather_and_scatter_are_the_formulas)
             }
          }
       }
-      free(s), free(v), free(coarse), free(back);
+      dn_pool_scatter_ref(&p.pool, &m.c, coarse, cs, width, N, plain, vs);
+      for (i = 0; i < N; i++)
+         for (x = 0; x < width; x++) CHECK(close_to((double)back[i * vs + x], (double)plain[i * vs + x]));
+      dn_pool_gather_ref(&p.pool, &m.c, v, vs, width, plain, width);
+      for (i = 0; i < m.c.count; i++)
+         for (x = 0; x < width; x++) CHECK(close_to((double)coarse[i * cs + x], (double)plain[i * width + x]));
+      free(s), free(v), free(coarse), free(back), free(plain);
       meshy_free(&m);
       pool_free(&p);
    }
