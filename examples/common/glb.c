@@ -8,17 +8,6 @@
 
 void ex_normals(size_t vertices, const float *positions, size_t triangles, const uint32_t *triangle, float *out); /* scene.c */
 
-static int glb_say(char *error, const char *path, const char *format, ...)
-{
-   va_list list;
-   int n;
-   if (!error) return 0;
-   n = snprintf(error, EX_ERROR, "%.120s: ", path);
-   va_start(list, format);
-   vsnprintf(error + n, EX_ERROR - (size_t)n, format, list);
-   va_end(list);
-   return 0;
-}
 
 /* ------------------------------------------------- the JSON chunk, growing */
 typedef struct page { char *text; size_t count, room; int failed; } page;
@@ -77,9 +66,9 @@ static int glb_begin(glb *g, const char *path, const page *p, size_t total, char
 {
    size_t json = (p->count + 3) & ~(size_t)3;
    memset(g, 0, sizeof *g);
-   if (p->failed) return glb_say(error, path, "out of memory");
-   if (total + json > 0x7fffffff) return glb_say(error, path, "%lu MB do not fit one GLB of 2 GB", (unsigned long)((total + json) >> 20));
-   if (!(g->out = fopen(path, "wb"))) return glb_say(error, path, "cannot be written");
+   if (p->failed) return ex_fail(error, path, "out of memory");
+   if (total + json > 0x7fffffff) return ex_fail(error, path, "%lu MB do not fit one GLB of 2 GB", (unsigned long)((total + json) >> 20));
+   if (!(g->out = fopen(path, "wb"))) return ex_fail(error, path, "cannot be written");
    put(g, "glTF", 4); put32(g, 2); put32(g, 12 + 8 + json + 8 + total);
    put32(g, json); put(g, "JSON", 4); put(g, p->text, p->count); put(g, "   ", json - p->count);
    put32(g, total); put(g, "BIN\0", 4);
@@ -90,7 +79,7 @@ static int glb_end(glb *g, const char *path, char *error)
    if (fclose(g->out)) g->failed = 1;
    if (!g->failed) return 1;
    remove(path);
-   return glb_say(error, path, "cannot be written (disk full?)");
+   return ex_fail(error, path, "cannot be written (disk full?)");
 }
 static void unit_normals(float *n, size_t vertices) /* glTF wants unit ones */
 {
@@ -110,10 +99,10 @@ int ex_write_glb(const char *path, const ex_baked *b, char *error)
    page p;
    glb g;
    memset(&p, 0, sizeof p);
-   if (!V || !T || !F) return glb_say(error, path, "nothing to write: no vertices, triangles or frames");
+   if (!V || !T || !F) return ex_fail(error, path, "nothing to write: no vertices, triangles or frames");
    M = F - 1;
-   if (V > 0x7fffffff / 24 / F) return glb_say(error, path, "%lu frames of %lu vertices do not fit one GLB of 2 GB", (unsigned long)F, (unsigned long)V);
-   if (!(row = (float *)malloc((3 * V + F) * sizeof *row)) || !(normals = (float *)malloc(6 * V * sizeof *normals))) { glb_say(error, path, "out of memory"); goto end; }
+   if (V > 0x7fffffff / 24 / F) return ex_fail(error, path, "%lu frames of %lu vertices do not fit one GLB of 2 GB", (unsigned long)F, (unsigned long)V);
+   if (!(row = (float *)malloc((3 * V + F) * sizeof *row)) || !(normals = (float *)malloc(6 * V * sizeof *normals))) { ex_fail(error, path, "out of memory"); goto end; }
    length[0] = 12 * T; length[1] = length[2] = 12 * V; length[3] = M ? 4 * F : 0; length[4] = 4 * F * M; length[5] = 24 * V * M;
    add(&p, "%s\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0,\"name\":", opening);
    add_name(&p, b->name ? b->name : "baked");
@@ -399,9 +388,9 @@ int ex_write_rig(const char *path, const ex_rig *r, size_t *bytes, char *error)
    glb g;
    int ok = 0;
    memset(&p, 0, sizeof p);
-   if (!r->vertices || !r->triangles || !r->joints || !r->influences || r->influences % 4) { glb_say(error, path, "nothing to write: no vertices, triangles or joints"); goto end; }
-   if (r->joints > 65535 || r->influences > 60) { glb_say(error, path, "%lu joints, %lu influences a vertex: more than glTF holds", (unsigned long)r->joints, (unsigned long)r->influences); goto end; }
-   if (!row) { glb_say(error, path, "out of memory"); goto end; }
+   if (!r->vertices || !r->triangles || !r->joints || !r->influences || r->influences % 4) { ex_fail(error, path, "nothing to write: no vertices, triangles or joints"); goto end; }
+   if (r->joints > 65535 || r->influences > 60) { ex_fail(error, path, "%lu joints, %lu influences a vertex: more than glTF holds", (unsigned long)r->joints, (unsigned long)r->influences); goto end; }
+   if (!row) { ex_fail(error, path, "out of memory"); goto end; }
    plan(r, &l);
    l.total = (l.total + 3) & ~(size_t)3;
    add(&p, "%s", opening);

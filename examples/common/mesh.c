@@ -2,22 +2,10 @@
 #include "mesh.h"
 #include <errno.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-static int mesh_say(char *error, const char *path, const char *format, ...)
-{
-   va_list list;
-   int n;
-   if (!error) return 0;
-   n = snprintf(error, EX_ERROR, "%.120s: ", path);
-   va_start(list, format);
-   vsnprintf(error + n, EX_ERROR - (size_t)n, format, list);
-   va_end(list);
-   return 0;
-}
 void ex_mesh_free(ex_mesh *m)
 {
    if (!m) return;
@@ -84,7 +72,7 @@ static uint32_t read_index(obj *o, size_t count, int *good)
    *good = i >= 1 && i <= count;
    return (uint32_t)(minus ? count + 1 - i : i);
 }
-static int bad_line(obj *o, const char *what) { return mesh_say(o->error, o->path, "line %lu: %s", (unsigned long)o->line, what); }
+static int bad_line(obj *o, const char *what) { return ex_fail(o->error, o->path, "line %lu: %s", (unsigned long)o->line, what); }
 
 static int read_face(obj *o)
 {
@@ -107,10 +95,10 @@ static int read_face(obj *o)
          if (o->corners + 3 > o->room) {
             size_t room = o->room ? 2 * o->room : 3072;
             void *at = room > SIZE_MAX / 32 ? NULL : realloc(o->corner, room * sizeof *o->corner);
-            if (!at) return mesh_say(o->error, o->path, "out of memory");
+            if (!at) return ex_fail(o->error, o->path, "out of memory");
             o->corner = (uint32_t (*)[3])at;
             o->room = room;
-            if (room > 0x7fffffff) return mesh_say(o->error, o->path, "has too many faces");
+            if (room > 0x7fffffff) return ex_fail(o->error, o->path, "has too many faces");
          }
          memcpy(o->corner[o->corners++], first, sizeof c);
          memcpy(o->corner[o->corners++], last, sizeof c);
@@ -133,7 +121,7 @@ static int read_lines(obj *o)
       if (list) {
          for (k = 0; k < list->width && (skip_blanks(o), !at_end(o)); k++) if (!read_number(o, v + k)) return bad_line(o, "is not a list of numbers");
          if (k < least) return bad_line(o, "has too few numbers");
-         if (list->count >= 0x0fffffff || !rows_add(list, v)) return mesh_say(o->error, o->path, "has too many vertices");
+         if (list->count >= 0x0fffffff || !rows_add(list, v)) return ex_fail(o->error, o->path, "has too many vertices");
       } else if (o->p[0] == 'f' && blank(o->p[1])) {
          o->p++;
          if (!read_face(o)) return 0;
@@ -142,7 +130,7 @@ static int read_lines(obj *o)
       if (*o->p) o->p++;
    }
    if (o->p < o->end) return bad_line(o, "has a zero byte: not a text");
-   if (!o->corners) return mesh_say(o->error, o->path, "has no faces");
+   if (!o->corners) return ex_fail(o->error, o->path, "has no faces");
    return 1;
 }
 /* each combination of numbers becomes a vertex, by first appearance */
@@ -161,7 +149,7 @@ static int join(obj *o, ex_mesh *m)
    m->normals = with[2] ? (float *)malloc(3 * o->corners * sizeof(float)) : NULL;
    m->uv = with[1] ? (float *)malloc(2 * o->corners * sizeof(float)) : NULL;
    m->triangle = (uint32_t *)malloc(o->corners * sizeof *m->triangle);
-   if (!table || !of || !m->positions || !m->triangle || (with[2] && !m->normals) || (with[1] && !m->uv)) { mesh_say(o->error, o->path, "out of memory"); goto end; }
+   if (!table || !of || !m->positions || !m->triangle || (with[2] && !m->normals) || (with[1] && !m->uv)) { ex_fail(o->error, o->path, "out of memory"); goto end; }
    memset(table, 0, room * sizeof *table);
    for (i = 0; i < o->corners; i++) {
       const uint32_t *c = o->corner[i];
@@ -191,11 +179,11 @@ static char *read_text(const char *path, size_t *size, char *error)
    FILE *f = fopen(path, "rb");
    char *text = NULL;
    size_t n = 0, room = 0, got;
-   if (!f) { mesh_say(error, path, "cannot be opened: %s", strerror(errno)); return NULL; }
+   if (!f) { ex_fail(error, path, "cannot be opened: %s", strerror(errno)); return NULL; }
    do {
       if (room - n < 2) {
          char *t = (char *)realloc(text, room = room ? 2 * room : (size_t)1 << 16);
-         if (!t) { free(text); fclose(f); mesh_say(error, path, "out of memory"); return NULL; }
+         if (!t) { free(text); fclose(f); ex_fail(error, path, "out of memory"); return NULL; }
          text = t;
       }
       got = fread(text + n, 1, room - n - 1, f);
@@ -213,7 +201,7 @@ static ex_mesh *obj_mesh(const char *path, char *error)
    char *text = m ? read_text(path, &size, error) : NULL;
    obj o;
    int ok = 0;
-   if (!m) mesh_say(error, path, "out of memory");
+   if (!m) ex_fail(error, path, "out of memory");
    if (text) {
       memset(&o, 0, sizeof o);
       o.path = path; o.p = text; o.end = text + size; o.error = error;
@@ -241,10 +229,10 @@ static int mesh_ends_with(const char *s, const char *end)
 static int mesh_finish(ex_mesh *m, const char *path, char *error)
 {
    size_t i, k;
-   if (!m->vertices || !m->triangles) return mesh_say(error, path, "has no triangles");
-   if (m->vertices > 0x7fffffff) return mesh_say(error, path, "has too many vertices");
-   for (i = 0; i < 3 * m->vertices; i++) if (!(fabsf(m->positions[i]) < 1e9f)) return mesh_say(error, path, "position of vertex %lu is %g", (unsigned long)(i / 3), (double)m->positions[i]);
-   for (i = 0; i < 3 * m->triangles; i++) if (m->triangle[i] >= m->vertices) return mesh_say(error, path, "triangle %lu names vertex %lu of %lu", (unsigned long)(i / 3), (unsigned long)m->triangle[i], (unsigned long)m->vertices);
+   if (!m->vertices || !m->triangles) return ex_fail(error, path, "has no triangles");
+   if (m->vertices > 0x7fffffff) return ex_fail(error, path, "has too many vertices");
+   for (i = 0; i < 3 * m->vertices; i++) if (!(fabsf(m->positions[i]) < 1e9f)) return ex_fail(error, path, "position of vertex %lu is %g", (unsigned long)(i / 3), (double)m->positions[i]);
+   for (i = 0; i < 3 * m->triangles; i++) if (m->triangle[i] >= m->vertices) return ex_fail(error, path, "triangle %lu names vertex %lu of %lu", (unsigned long)(i / 3), (unsigned long)m->triangle[i], (unsigned long)m->vertices);
    for (i = 0; m->uv && i < 2 * m->vertices; i++) if (!(fabsf(m->uv[i]) < 1e9f)) m->uv[i] = 0;
    for (i = 0; m->normals && i < m->vertices; i++) { /* unit ones, or none at all */
       float *n = m->normals + 3 * i;
@@ -259,14 +247,14 @@ ex_mesh *ex_mesh_load(const char *path, char *error)
    ex_mesh *m = NULL;
    if (mesh_ends_with(path, ".obj")) m = obj_mesh(path, error);
    else if (mesh_ends_with(path, ".glb") || mesh_ends_with(path, ".gltf")) m = ex__gltf_mesh(path, error);
-   else mesh_say(error, path, "is neither .obj, .glb nor .gltf");
+   else ex_fail(error, path, "is neither .obj, .glb nor .gltf");
    if (m && !mesh_finish(m, path, error)) { ex_mesh_free(m); m = NULL; }
    return m;
 }
 #ifndef EX_TINYGLTF
 ex_mesh *ex__gltf_mesh(const char *path, char *error)
 {
-   mesh_say(error, path, "reading glTF needs tinygltf: apt-get install libtinygltf-dev");
+   ex_fail(error, path, "reading glTF needs tinygltf: apt-get install libtinygltf-dev");
    return NULL;
 }
 #endif

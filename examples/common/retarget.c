@@ -3,22 +3,10 @@
 #include "scene.h"
 #include <ctype.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-static int turns_say(char *error, const char *path, const char *format, ...)
-{
-   va_list list;
-   int n;
-   if (!error) return 0;
-   n = snprintf(error, EX_ERROR, "%.120s: ", path);
-   va_start(list, format);
-   vsnprintf(error + n, EX_ERROR - (size_t)n, format, list);
-   va_end(list);
-   return 0;
-}
 void ex_turns_free(ex_turns *t)
 {
    if (!t) return;
@@ -208,7 +196,7 @@ static ex_turns *clip_turns(const char *path, const ex__clip *c, const ex_skelet
    p.node = (int32_t *)malloc(S * sizeof *p.node);
    p.there = world ? world + 12 * N : NULL;
    p.bridge = world ? world + 24 * N : NULL;
-   if (!out || !world || !done || !p.node) { turns_say(error, path, "out of memory"); goto end; }
+   if (!out || !world || !done || !p.node) { ex_fail(error, path, "out of memory"); goto end; }
    memset(moved, 0, N);
    for (i = 0; i < c->tracks; i++) moved[c->track[i].node] = 1;
    for (j = 0; j < S; j++) {
@@ -218,10 +206,10 @@ static ex_turns *clip_turns(const char *path, const ex__clip *c, const ex_skelet
    }
    if (!out->matched) {
       for (i = 0; i + 1 < N && !moved[i]; i++) {}
-      turns_say(error, path, "moves no joint of the model (it moves \"%.40s\", the model has \"%.40s\"): give --joints", c->names[i], s->names[0]);
+      ex_fail(error, path, "moves no joint of the model (it moves \"%.40s\", the model has \"%.40s\"): give --joints", c->names[i], s->names[0]);
       goto end;
    }
-   if (!worlds(c, SIZE_MAX, p.there, done)) { turns_say(error, path, "the nodes' parents form a circle"); goto end; }
+   if (!worlds(c, SIZE_MAX, p.there, done)) { ex_fail(error, path, "the nodes' parents form a circle"); goto end; }
    bridge_rests(s, &p, out);
    ratio = hip_ratio(s, &p);
    for (f = 0; f < c->frames; f++) {
@@ -268,10 +256,10 @@ static ex_turns *tensor_turns(const char *path, const ex_skeleton *s, char *erro
       side[0] = t->shape[0], side[1] = 3;
       if (!(travel = ex_tensors_get(file, "translation", 2, side, error))) goto end;
    }
-   if (!t->shape[0]) { turns_say(error, path, "has no frames"); goto end; }
+   if (!t->shape[0]) { ex_fail(error, path, "has no frames"); goto end; }
    out = turns_create("axis_angle", t->shape[0], s->joints);
    v = (float *)malloc(t->count * sizeof *v);
-   if (!out || !v) { turns_say(error, path, "out of memory"); goto end; }
+   if (!out || !v) { ex_fail(error, path, "out of memory"); goto end; }
    out->matched = s->joints;
    ex_tensor_f32(t, v);
    if (travel) ex_tensor_f32(travel, out->travel);
@@ -284,12 +272,12 @@ static ex_turns *tensor_turns(const char *path, const ex_skeleton *s, char *erro
       double a[3], l, r[9];
       for (k = 0; k < 3; k++) a[k] = (double)v[3 * n + k];
       l = length(a);
-      if (!(l < 1e6)) { turns_say(error, path, "axis_angle: frame %lu, joint %lu is not a rotation", (unsigned long)(n / s->joints), (unsigned long)(n % s->joints)); goto end; }
+      if (!(l < 1e6)) { ex_fail(error, path, "axis_angle: frame %lu, joint %lu is not a rotation", (unsigned long)(n / s->joints), (unsigned long)(n % s->joints)); goto end; }
       for (k = 0; k < 3; k++) a[k] = l > 0 ? a[k] / l : 0;
       about(a, l, r);
       for (k = 0; k < 9; k++) out->rotations[9 * n + k] = (float)r[k];
    }
-   for (i = 0; i < 3 * out->frames; i++) if (!(fabsf(out->travel[i]) < 1e9f)) { turns_say(error, path, "translation: frame %lu is %g", (unsigned long)(i / 3), (double)out->travel[i]); goto end; }
+   for (i = 0; i < 3 * out->frames; i++) if (!(fabsf(out->travel[i]) < 1e9f)) { ex_fail(error, path, "translation: frame %lu is %g", (unsigned long)(i / 3), (double)out->travel[i]); goto end; }
    ok = 1;
 end:
    free(v);

@@ -1,22 +1,10 @@
 /*  scene.c - see scene.h: what does not need a glTF reader */
 #include "scene.h"
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-static int say(char *error, const char *path, const char *format, ...)
-{
-   va_list list;
-   int n;
-   if (!error) return 0;
-   n = snprintf(error, EX_ERROR, "%.120s: ", path);
-   va_start(list, format);
-   vsnprintf(error + n, EX_ERROR - (size_t)n, format, list);
-   va_end(list);
-   return 0;
-}
 static char *copy_text(const char *s, size_t n)
 {
    char *r = (char *)malloc(n + 1);
@@ -160,17 +148,17 @@ static int order_joints(ex_scene *s, char *error)
 {
    size_t n = s->joints, done = 0, i, *from = (size_t *)malloc((n + 1) * sizeof *from), *to = (size_t *)malloc((n + 1) * sizeof *to);
    int moved = 0, ok = 0;
-   if (!from || !to) { say(error, s->path, "out of memory"); goto end; }
+   if (!from || !to) { ex_fail(error, s->path, "out of memory"); goto end; }
    for (i = 0; i < n; i++) to[i] = SIZE_MAX;
    while (done < n) {
       size_t before = done;
       for (i = 0; i < n; i++)
          if (to[i] == SIZE_MAX && (s->parents[i] < 0 || to[s->parents[i]] != SIZE_MAX)) { moved |= i != done; to[i] = done; from[done++] = i; }
-      if (done == before) { say(error, s->path, "the joints' parents form a circle"); goto end; }
+      if (done == before) { ex_fail(error, s->path, "the joints' parents form a circle"); goto end; }
    }
    if (moved) {
       if (!permute(s->names, sizeof *s->names, from, n) || !permute(s->parents, sizeof *s->parents, from, n) || !permute(s->rest, 10 * sizeof *s->rest, from, n) ||
-          !permute(s->above, 12 * sizeof *s->above, from, n) || !permute(s->inverse_bind, 12 * sizeof *s->inverse_bind, from, n)) { say(error, s->path, "out of memory"); goto end; }
+          !permute(s->above, 12 * sizeof *s->above, from, n) || !permute(s->inverse_bind, 12 * sizeof *s->inverse_bind, from, n)) { ex_fail(error, s->path, "out of memory"); goto end; }
       for (i = 0; i < n; i++) if (s->parents[i] >= 0) s->parents[i] = (int32_t)to[s->parents[i]];
       for (i = 0; i < s->vertices * s->influences; i++) s->skin_joints[i] = (uint32_t)to[s->skin_joints[i]];
    }
@@ -184,30 +172,30 @@ end:
 static int finish(ex_scene *s, char *error)
 {
    size_t i, k, w = 0;
-   if (!s->vertices) return say(error, s->path, "has no vertices");
-   if (!s->triangles) return say(error, s->path, "has no triangles");
-   if (!s->joints) return say(error, s->path, "has no joints");
-   if (s->vertices > UINT32_MAX || s->joints > INT32_MAX) return say(error, s->path, "has too many vertices or joints");
-   if (!finite_all(s->positions, 3 * s->vertices, &w)) return say(error, s->path, "position of vertex %lu is not finite", (unsigned long)(w / 3));
-   for (i = 0; i < 3 * s->vertices; i++) if (!(fabsf(s->positions[i]) < 1e9f)) return say(error, s->path, "position of vertex %lu is %g", (unsigned long)(i / 3), (double)s->positions[i]);
+   if (!s->vertices) return ex_fail(error, s->path, "has no vertices");
+   if (!s->triangles) return ex_fail(error, s->path, "has no triangles");
+   if (!s->joints) return ex_fail(error, s->path, "has no joints");
+   if (s->vertices > UINT32_MAX || s->joints > INT32_MAX) return ex_fail(error, s->path, "has too many vertices or joints");
+   if (!finite_all(s->positions, 3 * s->vertices, &w)) return ex_fail(error, s->path, "position of vertex %lu is not finite", (unsigned long)(w / 3));
+   for (i = 0; i < 3 * s->vertices; i++) if (!(fabsf(s->positions[i]) < 1e9f)) return ex_fail(error, s->path, "position of vertex %lu is %g", (unsigned long)(i / 3), (double)s->positions[i]);
    for (i = 0; i < 3 * s->triangles; i++)
-      if (s->triangle[i] >= s->vertices) return say(error, s->path, "triangle %lu names vertex %lu of %lu", (unsigned long)(i / 3), (unsigned long)s->triangle[i], (unsigned long)s->vertices);
-   if (!finite_all(s->skin_weights, s->vertices * s->influences, &w)) return say(error, s->path, "skin weight of vertex %lu is not finite", (unsigned long)(w / s->influences));
+      if (s->triangle[i] >= s->vertices) return ex_fail(error, s->path, "triangle %lu names vertex %lu of %lu", (unsigned long)(i / 3), (unsigned long)s->triangle[i], (unsigned long)s->vertices);
+   if (!finite_all(s->skin_weights, s->vertices * s->influences, &w)) return ex_fail(error, s->path, "skin weight of vertex %lu is not finite", (unsigned long)(w / s->influences));
    for (i = 0; i < s->vertices * s->influences; i++) {
       if (s->skin_weights[i] == 0) s->skin_joints[i] = 0; /* exporters leave anything here */
-      if (s->skin_joints[i] >= s->joints) return say(error, s->path, "vertex %lu is bound to joint %lu of %lu", (unsigned long)(i / s->influences), (unsigned long)s->skin_joints[i], (unsigned long)s->joints);
+      if (s->skin_joints[i] >= s->joints) return ex_fail(error, s->path, "vertex %lu is bound to joint %lu of %lu", (unsigned long)(i / s->influences), (unsigned long)s->skin_joints[i], (unsigned long)s->joints);
    }
    for (i = 0; i < s->joints; i++) {
       double m[12];
-      if (s->parents[i] < -1 || s->parents[i] >= (int32_t)s->joints) return say(error, s->path, "joint %lu has parent %ld of %lu", (unsigned long)i, (long)s->parents[i], (unsigned long)s->joints);
-      if (!finite_all(s->rest + 10 * i, 10, &w) || !finite_all(s->above + 12 * i, 12, &w)) return say(error, s->path, "transform of joint %.60s is not finite", s->names[i]);
-      if (!finite_all(s->inverse_bind + 12 * i, 12, &w)) return say(error, s->path, "inverse bind matrix of joint %.60s is not finite", s->names[i]);
+      if (s->parents[i] < -1 || s->parents[i] >= (int32_t)s->joints) return ex_fail(error, s->path, "joint %lu has parent %ld of %lu", (unsigned long)i, (long)s->parents[i], (unsigned long)s->joints);
+      if (!finite_all(s->rest + 10 * i, 10, &w) || !finite_all(s->above + 12 * i, 12, &w)) return ex_fail(error, s->path, "transform of joint %.60s is not finite", s->names[i]);
+      if (!finite_all(s->inverse_bind + 12 * i, 12, &w)) return ex_fail(error, s->path, "inverse bind matrix of joint %.60s is not finite", s->names[i]);
       widen(s->inverse_bind + 12 * i, m);
-      if (!ex__invert(m, m)) return say(error, s->path, "inverse bind matrix of joint %.60s is singular", s->names[i]);
+      if (!ex__invert(m, m)) return ex_fail(error, s->path, "inverse bind matrix of joint %.60s is singular", s->names[i]);
    }
    if (!order_joints(s, error)) return 0;
    s->joint_rest = (float *)malloc(3 * s->joints * sizeof *s->joint_rest);
-   if (!s->joint_rest) return say(error, s->path, "out of memory");
+   if (!s->joint_rest) return ex_fail(error, s->path, "out of memory");
    for (i = 0; i < s->joints; i++) {
       double m[12];
       widen(s->inverse_bind + 12 * i, m);
@@ -217,7 +205,7 @@ static int finish(ex_scene *s, char *error)
    if (s->normals && !finite_all(s->normals, 3 * s->vertices, &w)) { free(s->normals); s->normals = NULL; }
    if (!s->normals) {
       s->normals = (float *)malloc(3 * s->vertices * sizeof *s->normals);
-      if (!s->normals) return say(error, s->path, "out of memory");
+      if (!s->normals) return ex_fail(error, s->path, "out of memory");
       ex_normals(s->vertices, s->positions, s->triangles, s->triangle, s->normals);
    }
    return 1;
@@ -229,17 +217,17 @@ static int split_names(ex_scene *s, const char *list, char *error)
    size_t n = 0;
    const char *p = list, *a;
    s->names = (char **)calloc(s->joints, sizeof *s->names);
-   if (!s->names) return say(error, s->path, "out of memory");
+   if (!s->names) return ex_fail(error, s->path, "out of memory");
    while (*p && n < s->joints) {
       size_t l;
       while (*p && strchr(" \t\r\n\"[],", *p)) p++;
       for (a = p; *p && !strchr(",\"]", *p); p++) {}
       l = (size_t)(p - a);
       if (!l) break;
-      if (!(s->names[n++] = copy_text(a, l))) return say(error, s->path, "out of memory");
+      if (!(s->names[n++] = copy_text(a, l))) return ex_fail(error, s->path, "out of memory");
    }
    while (*p && strchr(" \t\r\n\"],", *p)) p++;
-   if (n != s->joints || *p) return say(error, s->path, "metadata joint_names does not list exactly %lu names", (unsigned long)s->joints);
+   if (n != s->joints || *p) return ex_fail(error, s->path, "metadata joint_names does not list exactly %lu names", (unsigned long)s->joints);
    return 1;
 }
 static float *take_f32(const ex_tensors *f, const char *name, size_t rank, size_t a, size_t b, size_t c, size_t *first, char *error)
@@ -251,7 +239,7 @@ static float *take_f32(const ex_tensors *f, const char *name, size_t rank, size_
    if (!(t = ex_tensors_get(f, name, rank, side, error))) return NULL;
    if (first) *first = t->shape[0];
    r = (float *)malloc(t->count * sizeof *r + 1);
-   if (!r) { say(error, ex_tensors_path(f), "out of memory"); return NULL; }
+   if (!r) { ex_fail(error, ex_tensors_path(f), "out of memory"); return NULL; }
    ex_tensor_f32(t, r);
    return r;
 }
@@ -265,7 +253,7 @@ static uint32_t *take_u32(const ex_tensors *f, const char *name, size_t a, size_
    *first = t->shape[0];
    *second = t->shape[1];
    r = (uint32_t *)malloc(t->count * sizeof *r + 1);
-   if (!r) { say(error, ex_tensors_path(f), "out of memory"); return NULL; }
+   if (!r) { ex_fail(error, ex_tensors_path(f), "out of memory"); return NULL; }
    if (!ex_tensor_u32(f, t, r, error)) { free(r); return NULL; }
    return r;
 }
@@ -279,29 +267,29 @@ static ex_scene *tensors_scene(const char *path, char *error)
    size_t i, k, n, three, side;
    int ok = 0;
    if (!f) goto end;
-   if (!s || !(s->path = copy_text(path, strlen(path)))) { say(error, path, "out of memory"); goto end; }
-   if (!ex_tensors_find(f, "positions")) { say(error, path, "is no character: it has no tensor positions"); goto end; }
+   if (!s || !(s->path = copy_text(path, strlen(path)))) { ex_fail(error, path, "out of memory"); goto end; }
+   if (!ex_tensors_find(f, "positions")) { ex_fail(error, path, "is no character: it has no tensor positions"); goto end; }
    if (!(s->positions = take_f32(f, "positions", 2, 0, 3, 0, &s->vertices, error))) goto end;
    if (!(s->triangle = take_u32(f, "triangles", 0, 3, &s->triangles, &three, error))) goto end;
    if (!(s->skin_joints = take_u32(f, "skin_joints", s->vertices, 0, &n, &s->influences, error))) goto end;
    if (!(s->skin_weights = take_f32(f, "skin_weights", 2, s->vertices, s->influences, 0, NULL, error))) goto end;
    if (!(joint_rest = take_f32(f, "joint_rest", 2, 0, 3, 0, &s->joints, error))) goto end;
-   if (!s->joints || !s->influences) { say(error, path, "has no joints"); goto end; }
+   if (!s->joints || !s->influences) { ex_fail(error, path, "has no joints"); goto end; }
    side = s->joints;
    if (!(parents = take_f32(f, "parents", 1, side, 0, 0, NULL, error))) goto end;
-   if (!finite_all(joint_rest, 3 * s->joints, &n)) { say(error, path, "joint_rest is not finite"); goto end; }
+   if (!finite_all(joint_rest, 3 * s->joints, &n)) { ex_fail(error, path, "joint_rest is not finite"); goto end; }
    s->parents = (int32_t *)malloc(s->joints * sizeof *s->parents);
    s->above = (float *)malloc(12 * s->joints * sizeof *s->above);
    s->rest = (float *)calloc(10 * s->joints, sizeof *s->rest);
    s->inverse_bind = (float *)malloc(12 * s->joints * sizeof *s->inverse_bind);
    s->range = (ex_range *)calloc(1, sizeof *s->range);
-   if (!s->parents || !s->above || !s->rest || !s->inverse_bind || !s->range) { say(error, path, "out of memory"); goto end; }
+   if (!s->parents || !s->above || !s->rest || !s->inverse_bind || !s->range) { ex_fail(error, path, "out of memory"); goto end; }
    s->ranges = 1;
    s->range[0].vertices = s->vertices;
    s->range[0].triangles = s->triangles;
-   if (!(s->range[0].name = copy_text("character", 9))) { say(error, path, "out of memory"); goto end; }
+   if (!(s->range[0].name = copy_text("character", 9))) { ex_fail(error, path, "out of memory"); goto end; }
    for (i = 0; i < s->joints; i++) {
-      if (!(parents[i] >= -1 && parents[i] < (float)s->joints)) { say(error, path, "joint %lu has parent %g of %lu", (unsigned long)i, (double)parents[i], (unsigned long)s->joints); goto end; }
+      if (!(parents[i] >= -1 && parents[i] < (float)s->joints)) { ex_fail(error, path, "joint %lu has parent %g of %lu", (unsigned long)i, (double)parents[i], (unsigned long)s->joints); goto end; }
       s->parents[i] = (int32_t)parents[i];
       for (k = 0; k < 12; k++) {
          s->above[12 * i + k] = (float)identity[k];
@@ -327,7 +315,7 @@ static ex_scene *tensors_scene(const char *path, char *error)
    }
    if ((t = ex_tensors_find(f, "normals")) != NULL && !(s->normals = take_f32(f, "normals", 2, s->vertices, 3, 0, NULL, error))) goto end;
    names = ex_tensors_meta(f, "joint_names");
-   if (!names) { say(error, path, "has no metadata joint_names"); goto end; }
+   if (!names) { ex_fail(error, path, "has no metadata joint_names"); goto end; }
    ok = split_names(s, names, error) && finish(s, error);
 end:
    free(parents);
@@ -340,7 +328,7 @@ ex_scene *ex_scene_load(const char *path, char *error)
 {
    ex_scene *s;
    if (ends_with(path, ".safetensors")) return tensors_scene(path, error);
-   if (!ends_with(path, ".glb") && !ends_with(path, ".gltf")) { say(error, path, "is neither .glb, .gltf nor .safetensors"); return NULL; }
+   if (!ends_with(path, ".glb") && !ends_with(path, ".gltf")) { ex_fail(error, path, "is neither .glb, .gltf nor .safetensors"); return NULL; }
    s = ex__gltf_scene(path, error);
    if (s && !finish(s, error)) { ex_scene_free(s); s = NULL; }
    return s;
@@ -493,7 +481,7 @@ static ex_motion *clip_motion(const char *path, const ex__clip *c, const ex_scen
    }
    if (!m->joints_matched) {
       for (i = 0; i + 1 < c->nodes && !moved[i]; i++) {}
-      say(error, path, "moves no joint of %.60s (it moves \"%.30s\", the character has \"%.30s\")", s->path, c->names[i], s->names[0]);
+      ex_fail(error, path, "moves no joint of %.60s (it moves \"%.30s\", the character has \"%.30s\")", s->path, c->names[i], s->names[0]);
       goto end;
    }
    hip = hip_joint(s, world, node);
@@ -549,7 +537,7 @@ static ex_motion *clip_motion(const char *path, const ex__clip *c, const ex_scen
    ok = 1;
    goto end;
 memory:
-   say(error, path, "out of memory");
+   ex_fail(error, path, "out of memory");
 end:
    free(world); free(node); free(moved); free(used);
    if (!ok) { ex_motion_free(m); m = NULL; }
@@ -564,19 +552,19 @@ static ex_motion *tensors_motion(const char *path, const ex_scene *s, char *erro
    size_t i, bad, side[4];
    int ok = 0;
    if (!f) goto end;
-   if (!m) { say(error, path, "out of memory"); goto end; }
-   if (!ex_tensors_find(f, "palettes")) { say(error, path, "is no motion: it has no tensor palettes"); goto end; }
+   if (!m) { ex_fail(error, path, "out of memory"); goto end; }
+   if (!ex_tensors_find(f, "palettes")) { ex_fail(error, path, "is no motion: it has no tensor palettes"); goto end; }
    side[0] = 0; side[1] = s->joints; side[2] = 3; side[3] = 4;
    if (!(t = ex_tensors_get(f, "palettes", 4, side, error))) goto end;
-   if (!t->shape[0]) { say(error, path, "has no frames"); goto end; }
+   if (!t->shape[0]) { ex_fail(error, path, "has no frames"); goto end; }
    m->frames = t->shape[0];
    m->joints = m->joints_matched = s->joints;
    m->palettes = (float *)malloc(t->count * sizeof *m->palettes);
    m->times = (float *)malloc(m->frames * sizeof *m->times);
    m->name = copy_text("palettes", 8);
-   if (!m->palettes || !m->times || !m->name) { say(error, path, "out of memory"); goto end; }
+   if (!m->palettes || !m->times || !m->name) { ex_fail(error, path, "out of memory"); goto end; }
    ex_tensor_f32(t, m->palettes);
-   if (!finite_all(m->palettes, t->count, &bad)) { say(error, path, "palette of frame %lu is not finite", (unsigned long)(bad / 12 / s->joints)); goto end; }
+   if (!finite_all(m->palettes, t->count, &bad)) { ex_fail(error, path, "palette of frame %lu is not finite", (unsigned long)(bad / 12 / s->joints)); goto end; }
    fps = ex_tensors_meta(f, "fps");
    m->fps = fps ? (float)atof(fps) : 30.0f;
    if (!(m->fps > 0 && m->fps < 1e6f)) m->fps = 30;
@@ -592,7 +580,7 @@ ex_motion *ex_motion_load(const char *path, const char *which, const ex_scene *s
    ex__clip *c;
    ex_motion *m;
    if (ends_with(path, ".safetensors")) return tensors_motion(path, s, error);
-   if (!ends_with(path, ".glb") && !ends_with(path, ".gltf")) { say(error, path, "is neither .glb, .gltf nor .safetensors"); return NULL; }
+   if (!ends_with(path, ".glb") && !ends_with(path, ".gltf")) { ex_fail(error, path, "is neither .glb, .gltf nor .safetensors"); return NULL; }
    if (!(c = ex__gltf_clip(path, which, error))) return NULL;
    m = clip_motion(path, c, s, error);
    ex__clip_free(c);
@@ -602,13 +590,13 @@ ex_motion *ex_motion_load(const char *path, const char *which, const ex_scene *s
 #ifndef EX_TINYGLTF /* scene_gltf.cc is then empty */
 ex_scene *ex__gltf_scene(const char *path, char *error)
 {
-   say(error, path, "reading glTF needs tinygltf: apt-get install libtinygltf-dev");
+   ex_fail(error, path, "reading glTF needs tinygltf: apt-get install libtinygltf-dev");
    return NULL;
 }
 ex__clip *ex__gltf_clip(const char *path, const char *which, char *error)
 {
    (void)which;
-   say(error, path, "reading glTF needs tinygltf: apt-get install libtinygltf-dev");
+   ex_fail(error, path, "reading glTF needs tinygltf: apt-get install libtinygltf-dev");
    return NULL;
 }
 #endif

@@ -13,15 +13,16 @@ static const struct { const char *name; size_t size; } types[EX_DTYPES] = {
 size_t ex_dtype_size(ex_dtype type) { return (unsigned)type < EX_DTYPES ? types[type].size : 0; }
 const char *ex_dtype_name(ex_dtype type) { return (unsigned)type < EX_DTYPES ? types[type].name : "?"; }
 
-static void say(char *error, const char *path, const char *format, ...)
+int ex_fail(char *error, const char *path, const char *format, ...)
 {
    va_list list;
    int n;
-   if (!error) return;
+   if (!error) return 0;
    n = snprintf(error, EX_ERROR, "%.120s: ", path);
    va_start(list, format);
    vsnprintf(error + n, EX_ERROR - (size_t)n, format, list);
    va_end(list);
+   return 0;
 }
 
 /* ------------------------------------------------- reading */
@@ -219,20 +220,20 @@ ex_tensors *ex_tensors_open(const char *path, char *error)
    FILE *in = fopen(path, "rb");
    ex_tensors *f = (ex_tensors *)calloc(1, sizeof *f);
    memset(&s, 0, sizeof s);
-   if (!in) { say(error, path, "cannot be opened"); goto fail; }
-   if (!f || !(f->path = copy_text(path))) { say(error, path, "out of memory"); goto fail; }
-   if (fseek(in, 0, SEEK_END) || (end = ftell(in)) < 0 || fseek(in, 0, SEEK_SET)) { say(error, path, "cannot be read"); goto fail; }
-   if (end < 10 || fread(lead, 1, 8, in) != 8) { say(error, path, "is no safetensors file: only %ld bytes", end); goto fail; }
+   if (!in) { ex_fail(error, path, "cannot be opened"); goto fail; }
+   if (!f || !(f->path = copy_text(path))) { ex_fail(error, path, "out of memory"); goto fail; }
+   if (fseek(in, 0, SEEK_END) || (end = ftell(in)) < 0 || fseek(in, 0, SEEK_SET)) { ex_fail(error, path, "cannot be read"); goto fail; }
+   if (end < 10 || fread(lead, 1, 8, in) != 8) { ex_fail(error, path, "is no safetensors file: only %ld bytes", end); goto fail; }
    for (i = 7; i >= 0; i--) head = head << 8 | lead[i];
-   if (head > (uint64_t)end - 8 || head < 2) { say(error, path, "is no safetensors file: header length %llu in %ld bytes", (unsigned long long)head, end); goto fail; }
+   if (head > (uint64_t)end - 8 || head < 2) { ex_fail(error, path, "is no safetensors file: header length %llu in %ld bytes", (unsigned long long)head, end); goto fail; }
    size = (uint64_t)end - 8 - head;
    f->raw = (unsigned char *)malloc((size_t)head + 1);
    f->data = (unsigned char *)malloc(size ? (size_t)size : 1);
-   if (!f->raw || !f->data) { say(error, path, "out of memory"); goto fail; }
-   if (fread(f->raw, 1, (size_t)head, in) != head || fread(f->data, 1, (size_t)size, in) != size) { say(error, path, "cannot be read"); goto fail; }
+   if (!f->raw || !f->data) { ex_fail(error, path, "out of memory"); goto fail; }
+   if (fread(f->raw, 1, (size_t)head, in) != head || fread(f->data, 1, (size_t)size, in) != size) { ex_fail(error, path, "cannot be read"); goto fail; }
    s.p = (const char *)f->raw;
    s.end = s.p + head;
-   if (!take(&s, '{')) { say(error, path, "is no safetensors file: no JSON header"); goto fail; }
+   if (!take(&s, '{')) { ex_fail(error, path, "is no safetensors file: no JSON header"); goto fail; }
    for (; peek(&s) != '}'; first = 0) {
       char *name;
       if (!first && !take(&s, ',')) break;
@@ -243,12 +244,12 @@ ex_tensors *ex_tensors_open(const char *path, char *error)
          if (f->meta) { s.wrong = "two __metadata__ blocks"; break; }
          if (!read_meta(f, &s)) break;
       } else {
-         if (ex_tensors_find(f, name)) { say(error, path, "tensor %.80s occurs twice", name); free(name); goto fail; }
-         if (!read_tensor(f, &s, name, size)) { say(error, path, "tensor %.80s: %s", f->tensors ? f->tensor[f->tensors - 1].name : "?", s.wrong); goto fail; }
+         if (ex_tensors_find(f, name)) { ex_fail(error, path, "tensor %.80s occurs twice", name); free(name); goto fail; }
+         if (!read_tensor(f, &s, name, size)) { ex_fail(error, path, "tensor %.80s: %s", f->tensors ? f->tensor[f->tensors - 1].name : "?", s.wrong); goto fail; }
       }
    }
    if (!s.wrong) { s.p++; if (peek(&s) || s.p < s.end) s.wrong = "something follows the header's closing brace"; }
-   if (s.wrong) { say(error, path, "%s", s.wrong); goto fail; }
+   if (s.wrong) { ex_fail(error, path, "%s", s.wrong); goto fail; }
    fclose(in);
    return f;
 fail:
@@ -298,11 +299,11 @@ const ex_tensor *ex_tensors_get(const ex_tensors *f, const char *name, size_t ra
    char want[96], have[96];
    size_t i;
    int same;
-   if (!t) { say(error, f->path, "has no tensor %.60s", name); return NULL; }
+   if (!t) { ex_fail(error, f->path, "has no tensor %.60s", name); return NULL; }
    same = t->rank == rank;
    for (i = 0; same && i < rank; i++) same = !sides[i] || sides[i] == t->shape[i];
    if (same) return t;
-   say(error, f->path, "%.40s is %s, expected %s", name, shape_text(t->rank, t->shape, have, sizeof have), shape_text(rank, sides, want, sizeof want));
+   ex_fail(error, f->path, "%.40s is %s, expected %s", name, shape_text(t->rank, t->shape, have, sizeof have), shape_text(rank, sides, want, sizeof want));
    return NULL;
 }
 static double element(const ex_tensor *t, size_t i)
@@ -342,7 +343,7 @@ int ex_tensor_u32(const ex_tensors *f, const ex_tensor *t, uint32_t *out, char *
    size_t i;
    for (i = 0; i < t->count; i++) {
       double v = element(t, i);
-      if (!(v >= 0 && v <= 4294967295.0) || v != floor(v)) { say(error, f->path, "%.60s: element %lu is %g, not an index", t->name, (unsigned long)i, v); return 0; }
+      if (!(v >= 0 && v <= 4294967295.0) || v != floor(v)) { ex_fail(error, f->path, "%.60s: element %lu is %g, not an index", t->name, (unsigned long)i, v); return 0; }
       out[i] = (uint32_t)v;
    }
    return 1;
@@ -364,11 +365,11 @@ ex_writer *ex_writer_open(const char *path, char *error)
 {
    ex_writer *w = (ex_writer *)calloc(1, sizeof *w);
    size_t n = strlen(path);
-   if (!w || !(w->path = copy_text(path)) || !(w->part = (char *)malloc(n + 6))) { say(error, path, "out of memory"); goto fail; }
+   if (!w || !(w->path = copy_text(path)) || !(w->part = (char *)malloc(n + 6))) { ex_fail(error, path, "out of memory"); goto fail; }
    memcpy(w->part, path, n);
    memcpy(w->part + n, ".part", 6);
    w->out = fopen(w->part, "wb");
-   if (!w->out) { say(error, path, "cannot be written"); goto fail; }
+   if (!w->out) { ex_fail(error, path, "cannot be written"); goto fail; }
    return w;
 fail:
    if (w) { free(w->path); free(w->part); }
@@ -499,7 +500,7 @@ int ex_writer_close(ex_writer *w, char *error)
    failed = w->failed;
    if (failed) {
       remove(w->part);
-      say(error, w->path, "%s", failed == 1 ? "cannot be written (disk full?)" : failed == 2 ? "out of memory" : "written wrongly by the program: tensor id, range or order");
+      ex_fail(error, w->path, "%s", failed == 1 ? "cannot be written (disk full?)" : failed == 2 ? "out of memory" : "written wrongly by the program: tensor id, range or order");
    }
    for (i = 0; i < w->entries; i++) { free(w->meta[i].key); free(w->meta[i].value); }
    for (i = 0; i < w->tensors; i++) free(w->tensor[i].name);

@@ -16,6 +16,8 @@ extern "C" {
 #endif
 
 #define EX_ERROR 256     /* bytes of an error line */
+/*  "path: format ..." to error[EX_ERROR], or nothing when error is NULL; returns 0, what a reader that fails returns */
+int ex_fail(char *error, const char *path, const char *format, ...);
 #define EX_MAX_RANK 8
 
 typedef enum ex_dtype {
