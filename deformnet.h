@@ -4066,8 +4066,8 @@ typedef struct dn__kernel {
    /* y (rows, columns) = act(y); columns a multiple of 16; not softmax */
    void (*activate)(float *y, size_t y_stride, size_t rows, size_t columns, dn_activation activation);
    /* >>attention: dn__attend_ref is the specification */
-   void (*attend)(const dn_gat *b, const dn_graph *g, const float *z, float *y, size_t y_stride, size_t begin,
-                  size_t end);
+   void (*attend)(const dn_gat *b, const dn_graph *g, const float *z, size_t mask, float *y, size_t y_stride,
+                  size_t begin, size_t end);
 } dn__kernel;
 static DN__INLINE float *dn__cache_line(float *p) /* the first 64-byte boundary from p on, at most 15 floats away */
 {
@@ -5147,18 +5147,19 @@ static size_t dn__member(const dn_graph *g, size_t i, size_t j)
 }
 
 /* max_j of e_ij = leaky(dst . z_i + src . z_j), so that exp cannot overflow */
-static float dn__logit_most(const dn_graph *g, const float *dst, const float *src, size_t stride, size_t i)
+static float dn__logit_most(const dn_graph *g, const float *dst, const float *src, size_t stride, size_t mask, size_t i)
 {
    size_t j, count = (size_t)(g->first[i + 1] - g->first[i]) + 1;
-   float most = dn__leaky(dst[i * stride] + src[i * stride]);
+   float own = dst[(i & mask) * stride], most = dn__leaky(own + src[(i & mask) * stride]);
    for (j = 1; j < count; j++) {
-      float e = dn__leaky(dst[i * stride] + src[dn__member(g, i, j) * stride]);
+      float e = dn__leaky(own + src[(dn__member(g, i, j) & mask) * stride]);
       most = e > most ? e : most;
    }
    return most;
 }
-/* y_i = act(z_i + sum_j exp(e_ij - max) (z_j - z_i) / sum_j exp(e_ij - max)) for each head, nodes begin to end - 1 */
-static void dn__attend_ref(const dn_gat *b, const dn_graph *g, const float *z, float *y, size_t y_stride,
+/* y_i = act(z_i + sum_j exp(e_ij - max) (z_j - z_i) / sum_j exp(e_ij - max)) for each head, nodes begin to end - 1.
+   z_n is row (n & mask) of z: a ring of a power of two of rows, or mask = SIZE_MAX: all N. y starts with node `begin`. */
+static void dn__attend_ref(const dn_gat *b, const dn_graph *g, const float *z, size_t mask, float *y, size_t y_stride,
                            size_t begin, size_t end)
 {
    size_t stride = dn__gat_stride(b), kf = b->heads * b->features, i, j, k, f;
@@ -5166,13 +5167,13 @@ static void dn__attend_ref(const dn_gat *b, const dn_graph *g, const float *z, f
       size_t count = (size_t)(g->first[i + 1] - g->first[i]) + 1;
       for (k = 0; k < b->heads; k++) {
          const float *dst = z + kf + k, *src = dst + b->heads; /* columns, rows `stride` apart */
-         const float *own = z + i * stride + k * b->features;  /* (F) */
-         float *to = y + i * y_stride + k * b->features;       /* (F) */
-         float most = dn__logit_most(g, dst, src, stride, i), sum = 0;
+         const float *own = z + (i & mask) * stride + k * b->features; /* (F) */
+         float *to = y + (i - begin) * y_stride + k * b->features;     /* (F) */
+         float most = dn__logit_most(g, dst, src, stride, mask, i), sum = 0;
          for (f = 0; f < b->features; f++) to[f] = 0;
          for (j = 0; j < count; j++) {
-            size_t n = dn__member(g, i, j);
-            float a = dn__exp(dn__leaky(dst[i * stride] + src[n * stride]) - most);
+            size_t n = dn__member(g, i, j) & mask;
+            float a = dn__exp(dn__leaky(dst[(i & mask) * stride] + src[n * stride]) - most);
             sum += a;
             for (f = 0; f < b->features; f++) to[f] += a * (z[n * stride + k * b->features + f] - own[f]);
          }
@@ -5191,16 +5192,16 @@ static void dn__attend_ref(const dn_gat *b, const dn_graph *g, const float *z, f
 #ifdef DN__HAS_AVX2
 /* e_ij - max for up to 8 heads; e (count,8), idle heads 0 */
 DN__TARGET_AVX2 static DN__INLINE void dn__logits_avx2(const dn_gat *b, const dn_graph *g, const float *z,
-                                                       size_t stride, size_t i, size_t count, __m256i heads,
-                                                       float *e)
+                                                       size_t stride, size_t mask, size_t i, size_t count,
+                                                       __m256i heads, float *e)
 {
    size_t at = b->heads * b->features, j;
    const float *src = z + at + b->heads;
    const uint32_t *next = g->next + g->first[i];
-   __m256 d = _mm256_maskload_ps(z + i * stride + at, heads);
-   __m256 own = _mm256_maskload_ps(src + i * stride, heads), most = own;
+   __m256 d = _mm256_maskload_ps(z + (i & mask) * stride + at, heads);
+   __m256 own = _mm256_maskload_ps(src + (i & mask) * stride, heads), most = own;
    for (j = 0; j + 1 < count; j++) {
-      __m256 s = _mm256_maskload_ps(src + next[j] * stride, heads);
+      __m256 s = _mm256_maskload_ps(src + (next[j] & mask) * stride, heads);
       most = _mm256_max_ps(most, s);
       _mm256_storeu_ps(e + (j + 1) * 8, dn__leaky_avx2(_mm256_add_ps(d, s)));
    }
@@ -5212,20 +5213,21 @@ DN__TARGET_AVX2 static DN__INLINE void dn__logits_avx2(const dn_gat *b, const dn
    ahead this halves the time when z has left the second-level cache (10,220 nodes of 8 x 8: 71 to 57 ns a node) and
    costs 2 ns when it has not; asking for all neighbours costs 10. */
 #define DN__AHEAD 4
-DN__TARGET_AVX2 static DN__INLINE void dn__prefetch_avx2(const dn_graph *g, const float *z, size_t stride, size_t i)
+DN__TARGET_AVX2 static DN__INLINE void dn__prefetch_avx2(const dn_graph *g, const float *z, size_t stride,
+                                                         size_t mask, size_t i)
 {
    size_t e, c;
    for (e = g->first[i]; e < g->first[i + 1]; e++)
       for (c = 0; g->next[e] > i && c < stride; c += 16)
-         _mm_prefetch((const char *)(z + g->next[e] * stride + c), _MM_HINT_T0);
+         _mm_prefetch((const char *)(z + (g->next[e] & mask) * stride + c), _MM_HINT_T0);
 }
 DN__TARGET_AVX2 static DN__INLINE __m256i dn__lanes_avx2(size_t count) /* the first `count` of 8 */
 {
    const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
    return _mm256_cmpgt_epi32(_mm256_set1_epi32(count < 8 ? (int)count : 8), lane);
 }
-DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, const float *z, float *y,
-                                            size_t y_stride, size_t begin, size_t end)
+DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, const float *z, size_t mask,
+                                            float *y, size_t y_stride, size_t begin, size_t end)
 {
    size_t stride = dn__gat_stride(b), kf = b->heads * b->features, i, j, c;
    const __m256i heads = dn__lanes_avx2(b->heads);
@@ -5233,15 +5235,15 @@ DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, 
    for (i = begin; i < end; i++) {
       size_t count = (size_t)(g->first[i + 1] - g->first[i]) + 1;
       const uint32_t *next = g->next + g->first[i];
-      const float *own = z + i * stride;
-      float *to = y + i * y_stride;
+      const float *own = z + (i & mask) * stride;
+      float *to = y + (i - begin) * y_stride;
       __m256 sum = _mm256_setzero_ps(), part;
-      if (i + DN__AHEAD < end) dn__prefetch_avx2(g, z, stride, i + DN__AHEAD);
+      if (i + DN__AHEAD < end) dn__prefetch_avx2(g, z, stride, mask, i + DN__AHEAD);
       if (b->heads > 8 || count > DN__WEIGHTS / 8) {
-         dn__attend_ref(b, g, z, y, y_stride, i, i + 1);
+         dn__attend_ref(b, g, z, mask, to, y_stride, i, i + 1);
          continue;
       }
-      dn__logits_avx2(b, g, z, stride, i, count, heads, e);
+      dn__logits_avx2(b, g, z, stride, mask, i, count, heads, e);
       for (j = 0; j < count; j++) {
          __m256 a = dn__exp_avx2(_mm256_loadu_ps(e + j * 8));
          _mm256_storeu_ps(e + j * 8, a);
@@ -5257,7 +5259,7 @@ DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, 
          __m256 z2 = _mm256_loadu_ps(own + c + 16), z3 = _mm256_loadu_ps(own + c + 24);
          __m256 s0 = _mm256_setzero_ps(), s1 = s0, s2 = s0, s3 = s0, a;
          for (j = 1; j < count; j++) {
-            const float *row = z + next[j - 1] * stride + c;
+            const float *row = z + (next[j - 1] & mask) * stride + c;
             a = _mm256_loadu_ps(e + j * 8);
             s0 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h0), _mm256_sub_ps(_mm256_loadu_ps(row), z0), s0);
             s1 = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(a, h1), _mm256_sub_ps(_mm256_loadu_ps(row + 8), z1), s1);
@@ -5278,7 +5280,7 @@ DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, 
          __m256 zi = _mm256_loadu_ps(own + c), s = _mm256_setzero_ps();
          for (j = 1; j < count; j++)
             s = _mm256_fmadd_ps(_mm256_permutevar8x32_ps(_mm256_loadu_ps(e + j * 8), h),
-                                _mm256_sub_ps(_mm256_loadu_ps(z + next[j - 1] * stride + c), zi), s);
+                                _mm256_sub_ps(_mm256_loadu_ps(z + (next[j - 1] & mask) * stride + c), zi), s);
          s = _mm256_fmadd_ps(s, _mm256_permutevar8x32_ps(part, h), zi);
          _mm256_maskstore_ps(to + c, dn__lanes_avx2(kf - c), dn__act_avx2(s, b->activation));
       }
@@ -5294,8 +5296,8 @@ DN__TARGET_AVX512 static DN__INLINE __mmask16 dn__lanes_avx512(size_t count) /* 
 {
    return (__mmask16)(count < 16 ? (1u << count) - 1u : 0xffffu);
 }
-DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph *g, const float *z, float *y,
-                                                size_t y_stride, size_t begin, size_t end)
+DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph *g, const float *z, size_t mask,
+                                                float *y, size_t y_stride, size_t begin, size_t end)
 {
    size_t stride = dn__gat_stride(b), kf = b->heads * b->features, i, j, c;
    const __m256i heads = dn__lanes_avx2(b->heads);
@@ -5303,16 +5305,16 @@ DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph 
    for (i = begin; i < end; i++) {
       size_t count = (size_t)(g->first[i + 1] - g->first[i]) + 1;
       const uint32_t *next = g->next + g->first[i];
-      const float *own = z + i * stride;
-      float *to = y + i * y_stride;
+      const float *own = z + (i & mask) * stride;
+      float *to = y + (i - begin) * y_stride;
       __m256 sum = _mm256_setzero_ps();
       __m512 part;
-      if (i + DN__AHEAD < end) dn__prefetch_avx2(g, z, stride, i + DN__AHEAD);
+      if (i + DN__AHEAD < end) dn__prefetch_avx2(g, z, stride, mask, i + DN__AHEAD);
       if (b->heads > 8 || count > DN__WEIGHTS / 8) {
-         dn__attend_ref(b, g, z, y, y_stride, i, i + 1);
+         dn__attend_ref(b, g, z, mask, to, y_stride, i, i + 1);
          continue;
       }
-      dn__logits_avx2(b, g, z, stride, i, count, heads, e);
+      dn__logits_avx2(b, g, z, stride, mask, i, count, heads, e);
       _mm256_storeu_ps(e + count * 8, sum); /* so that the last 16 are numbers */
       for (j = 0; j < count; j += 2) { /* two neighbours; no load here spans two stores, that would stall */
          __m512 a = _mm512_insertf32x8(DN__WIDE(e + j * 8), _mm256_loadu_ps(e + j * 8 + 8), 1);
@@ -5327,7 +5329,7 @@ DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph 
          __m512 z2 = _mm512_loadu_ps(own + c + 32), z3 = _mm512_loadu_ps(own + c + 48);
          __m512 s0 = _mm512_setzero_ps(), s1 = s0, s2 = s0, s3 = s0, a;
          for (j = 1; j < count; j++) {
-            const float *row = z + next[j - 1] * stride + c;
+            const float *row = z + (next[j - 1] & mask) * stride + c;
             a = DN__WIDE(e + j * 8);
             s0 = _mm512_fmadd_ps(DN__DRAW(h0, a), _mm512_sub_ps(_mm512_loadu_ps(row), z0), s0);
             s1 = _mm512_fmadd_ps(DN__DRAW(h1, a), _mm512_sub_ps(_mm512_loadu_ps(row + 16), z1), s1);
@@ -5348,7 +5350,7 @@ DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph 
          __m512 zi = _mm512_loadu_ps(own + c), s = _mm512_setzero_ps();
          for (j = 1; j < count; j++)
             s = _mm512_fmadd_ps(DN__DRAW(h, DN__WIDE(e + j * 8)),
-                                _mm512_sub_ps(_mm512_loadu_ps(z + next[j - 1] * stride + c), zi), s);
+                                _mm512_sub_ps(_mm512_loadu_ps(z + (next[j - 1] & mask) * stride + c), zi), s);
          s = _mm512_fmadd_ps(s, DN__DRAW(h, part), zi);
          _mm512_mask_storeu_ps(to + c, dn__lanes_avx512(kf - c), dn__act_avx512(s, b->activation));
       }
@@ -5378,8 +5380,8 @@ static DN__INLINE void dn__store_f4(float *to, size_t count, dn__f4 a) /* the fi
       memcpy(to, part, count * sizeof(float));
    }
 }
-static void dn__attend_f4(const dn_gat *b, const dn_graph *g, const float *z, float *y, size_t y_stride, size_t begin,
-                          size_t end)
+static void dn__attend_f4(const dn_gat *b, const dn_graph *g, const float *z, size_t mask, float *y, size_t y_stride,
+                          size_t begin, size_t end)
 {
    size_t stride = dn__gat_stride(b), kf = b->heads * b->features, i, j, k, c;
    int one = b->features % 4 == 0;
@@ -5388,16 +5390,16 @@ static void dn__attend_f4(const dn_gat *b, const dn_graph *g, const float *z, fl
    for (i = begin; i < end; i++) {
       size_t count = (size_t)(g->first[i + 1] - g->first[i]) + 1;
       const uint32_t *next = g->next + g->first[i];
-      const float *own = z + i * stride, *dst = own + kf; /* (K) dst . z_i, then (K) src . z_i */
-      float *to = y + i * y_stride, *part;
+      const float *own = z + (i & mask) * stride, *dst = own + kf; /* (K) dst . z_i, then (K) src . z_i */
+      float *to = y + (i - begin) * y_stride, *part;
       if (count >= most_count) {
-         dn__attend_ref(b, g, z, y, y_stride, i, i + 1);
+         dn__attend_ref(b, g, z, mask, to, y_stride, i, i + 1);
          continue;
       }
       part = e + count * pitch;
       memset(e, 0, (count + 1) * pitch * sizeof(float));
       for (j = 0; j < count; j++) {
-         const float *src = z + (j ? next[j - 1] : i) * stride + kf + b->heads;
+         const float *src = z + ((j ? next[j - 1] : i) & mask) * stride + kf + b->heads;
          for (k = 0; k < b->heads; k++) e[j * pitch + k] = dn__leaky(dst[k] + src[k]);
       }
       for (k = 0; k < pitch; k += 4) { /* four heads at once */
@@ -5414,7 +5416,7 @@ static void dn__attend_f4(const dn_gat *b, const dn_graph *g, const float *z, fl
          dn__f4 zi = dn__f4_load(own + c), s = dn__f4_all(0.0f);
          for (j = 1; j < count; j++)
             s = dn__f4_fma(dn__draw_f4(e + j * pitch, b->head + c, one),
-                           dn__f4_sub(dn__f4_load(z + next[j - 1] * stride + c), zi), s);
+                           dn__f4_sub(dn__f4_load(z + (next[j - 1] & mask) * stride + c), zi), s);
          s = dn__f4_fma(s, dn__draw_f4(part, b->head + c, one), zi);
          dn__store_f4(to + c, kf - c, dn__act_f4(s, b->activation));
       }
@@ -5444,7 +5446,7 @@ DN_API void dn_gat_ref(const dn_gat *block, const dn_graph *g, const float *v, s
    float *z = (float *)scratch; /* (N,stride) */
    dn__product_ref(&z_of, v, v_stride, z, z_of.out, 0, g->nodes);
    dn__product_ref(&c_of, v, v_stride, y + block->heads * block->features, y_stride, 0, g->nodes);
-   dn__attend_ref(block, g, z, y, y_stride, 0, g->nodes);
+   dn__attend_ref(block, g, z, SIZE_MAX, y, y_stride, 0, g->nodes);
 }
 typedef struct dn__gat_job {
    const dn_gat *block;
@@ -5466,7 +5468,7 @@ static void dn__gat_attend(void *job, size_t begin, size_t end, unsigned worker)
    const dn__gat_job *j = (const dn__gat_job *)job;
    const dn__kernel *k = dn__kernel_of(j->block->kernel);
    (void)worker;
-   (k ? k->attend : dn__attend_ref)(j->block, j->g, j->z, j->y, j->y_stride, begin, end);
+   (k ? k->attend : dn__attend_ref)(j->block, j->g, j->z, SIZE_MAX, j->y + begin * j->y_stride, j->y_stride, begin, end);
 }
 DN_API void dn_gat_run(const dn_gat *block, const dn_graph *g, const float *v, size_t v_stride, float *y,
                        size_t y_stride, void *scratch, const dn_parallel *parallel)
@@ -5494,7 +5496,7 @@ DN_API void dn_gat_attention(const dn_gat *block, const dn_graph *g, const float
       float *rows = alpha + (g->first[i] + i) * block->heads; /* (count,K) */
       for (k = 0; k < block->heads; k++) {
          const float *dst = z + block->heads * block->features + k, *src = dst + block->heads;
-         float most = dn__logit_most(g, dst, src, stride, i), sum = 0;
+         float most = dn__logit_most(g, dst, src, stride, SIZE_MAX, i), sum = 0;
          for (j = 0; j < count; j++)
             sum += rows[j * block->heads + k] =
                dn__exp(dn__leaky(dst[i * stride] + src[dn__member(g, i, j) * stride]) - most);
