@@ -13,6 +13,7 @@
 #include "common/pool.h"
 #include "common/quiet.h"
 #include "common/scene.h"
+#include "common/tool.h"
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -41,20 +42,10 @@ typedef struct options {
    double seconds, noise;
 } options;
 
-static void fail(const char *format, ...)
-{
-   va_list list;
-   fputs("bench: ", stderr);
-   va_start(list, format);
-   vfprintf(stderr, format, list);
-   va_end(list);
-   fputc('\n', stderr);
-   exit(1);
-}
 static void *take(size_t count, size_t size)
 {
-   void *p = size && count > SIZE_MAX / size ? NULL : calloc(count ? count : 1, size ? size : 1);
-   if (!p) fail("out of memory");
+   void *p = ex_take(count, size);
+   if (!p) ex_die("out of memory");
    return p;
 }
 static double megabytes(size_t bytes) { return (double)bytes / 1e6; }
@@ -70,7 +61,7 @@ static double number(const char *key, const char *text, double low, double high)
 {
    char *end;
    double x = strtod(text, &end);
-   if (end == text || *end || !(x >= low && x <= high)) fail("%s %s: expected a number from %g to %g", key, text, low, high);
+   if (end == text || *end || !(x >= low && x <= high)) ex_die("%s %s: expected a number from %g to %g", key, text, low, high);
    return x;
 }
 static options read_options(int argc, char **argv)
@@ -93,7 +84,7 @@ static options read_options(int argc, char **argv)
          o.shuffle = 1;
          continue;
       }
-      if (!value) fail("%s is unknown or needs a value (--help lists them)", key);
+      if (!value) ex_die("%s is unknown or needs a value (--help lists them)", key);
       i++;
       if (text) *text = value;
       else if (strcmp(key, "--nodes") == 0) o.nodes = (size_t)number(key, value, 12, 1e7);
@@ -102,20 +93,17 @@ static options read_options(int argc, char **argv)
       else if (strcmp(key, "--seconds") == 0) o.seconds = number(key, value, 0.01, 3600);
       else if (strcmp(key, "--noise") == 0) o.noise = number(key, value, 0, 100);
       else if (strcmp(key, "--precision") == 0) {
-         if (strcmp(value, "f32") != 0) fail("--precision %s: expected f32, the one precision there is", value);
+         if (strcmp(value, "f32") != 0) ex_die("--precision %s: expected f32, the one precision there is", value);
       } else if (strcmp(key, "--kernel") == 0) {
          for (k = DN_KERNEL_COUNT; --k >= 0 && strcmp(value, kernel_names[k]) != 0;) {}
-         if (k < 0 && strcmp(value, "auto") != 0) fail("--kernel %s: expected ref, sse, avx2, avx512, neon, wasm or auto", value);
-         if (k >= 0 && !dn_kernel_available((dn_kernel)k)) fail("--kernel %s does not run here", value);
+         if (k < 0 && strcmp(value, "auto") != 0) ex_die("--kernel %s: expected ref, sse, avx2, avx512, neon, wasm or auto", value);
+         if (k >= 0 && !dn_kernel_available((dn_kernel)k)) ex_die("--kernel %s does not run here", value);
          if (k >= 0) o.kernel = k;
-      } else fail("unknown argument \"%s\" (--help lists them)", key);
+      } else ex_die("unknown argument \"%s\" (--help lists them)", key);
    }
-   if (o.character && (o.nodes || o.shuffle)) fail("--character brings its own mesh: --nodes and --shuffle are for made ones");
-   if (strcmp(o.pooling, "rest") != 0 && strcmp(o.pooling, "dynamic") != 0) fail("--pooling %s: expected rest or dynamic", o.pooling);
-   if (!o.threads) {
-      long n = sysconf(_SC_NPROCESSORS_ONLN);
-      o.threads = n < 1 ? 1 : n > 8 ? 8 : (unsigned)n;
-   }
+   if (o.character && (o.nodes || o.shuffle)) ex_die("--character brings its own mesh: --nodes and --shuffle are for made ones");
+   if (strcmp(o.pooling, "rest") != 0 && strcmp(o.pooling, "dynamic") != 0) ex_die("--pooling %s: expected rest or dynamic", o.pooling);
+   if (!o.threads) o.threads = ex_processors();
    o.kernel_name = kernel_names[o.kernel];
    return o;
 }
@@ -325,11 +313,11 @@ static dn_model *load(const bench *b, const char *arch, const char *path) /* pat
    else {
       size_t size;
       unsigned char *file = ex_made_model(arch, b->o.pooling, strcmp(arch, "clothnet") == 0 ? 24 : 65, &size);
-      if (!file) fail("--arch %s: expected mlp, gat, neuroskinning, densegats, multiresgnet or clothnet", arch);
+      if (!file) ex_die("--arch %s: expected mlp, gat, neuroskinning, densegats, multiresgnet or clothnet", arch);
       m = dn_model_load(file, size, NULL, &e);
       free(file);
    }
-   if (!m) fail("%s: %s", path ? path : arch, e.info);
+   if (!m) ex_die("%s: %s", path ? path : arch, e.info);
    if (b->o.kernel != kernel_best()) choose_kernel(m, (dn_kernel)b->o.kernel);
    return m;
 }
@@ -352,7 +340,7 @@ static void subject_ready(subject *s, const bench *b)
    dn_rig_describe(s->rig, &s->view);
    s->rig->kernel = (dn_kernel)b->o.kernel;
    s->scratch = dn_scratch_create(s->rig, b->o.threads, NULL, &s->scratch_bytes, &e);
-   if (!s->scratch) fail("%s: %s", s->name, e.info);
+   if (!s->scratch) ex_die("%s: %s", s->name, e.info);
    s->positions = (float *)take(s->view.vertices, 3 * sizeof(float));
    s->normals = (float *)take(s->view.vertices, 3 * sizeof(float));
 }
@@ -368,11 +356,11 @@ static subject subject_made(const bench *b, const char *name, dn_model *model, s
    s.model = model;
    if (model) dn_model_describe(model, &s.info);
    s.made = ex_made_mesh(nodes, model && s.info.joints ? s.info.joints : 65, 0.5214, b->o.shuffle);
-   if (!s.made) fail("out of memory for a mesh of %lu nodes", (unsigned long)nodes);
+   if (!s.made) ex_die("out of memory for a mesh of %lu nodes", (unsigned long)nodes);
    made_desc(s.made, &d, &skin, model ? &s.info : NULL);
    d.parallel = &b->par[1];
    s.rig = dn_rig_create(model, &d, NULL, &s.report, &e);
-   if (!s.rig) fail("%s: %s", name, e.info);
+   if (!s.rig) ex_die("%s: %s", name, e.info);
    s.palette = s.made->palette;
    subject_ready(&s, b);
    return s;
@@ -386,23 +374,15 @@ static subject subject_character(const bench *b, const char *name, dn_model *mod
    float *palette, *local;
    size_t k;
    memset(&s, 0, sizeof s);
-   memset(&d, 0, sizeof d);
-   memset(&skin, 0, sizeof skin);
    snprintf(s.name, sizeof s.name, "%s", name);
    s.model = model;
    dn_model_describe(model, &s.info);
-   d.mesh.vertices = scene->vertices, d.mesh.positions = scene->positions;
-   d.mesh.triangles = scene->triangles, d.mesh.indices = scene->triangle, d.mesh.index_type = DN_U32;
-   d.mesh.skin_sets = 1, d.mesh.skin = &skin;
-   skin.influences = scene->influences, skin.joints = scene->skin_joints, skin.joint_type = DN_U32;
-   skin.weights = scene->skin_weights, skin.weight_type = DN_F32;
-   d.skeleton.joints = scene->joints, d.skeleton.inverse_bind = scene->inverse_bind, d.skeleton.parents = scene->parents;
-   d.skeleton.names = (const char *const *)scene->names;
+   ex_describe(scene, &d, &skin);
    if (s.info.joint_names && strcmp(s.info.joint_names[0], "joint0") == 0 && scene->joints == s.info.joints)
       d.skeleton.names = s.info.joint_names; /* a made model: its joints are anybody's */
    d.parallel = &b->par[1];
    s.rig = dn_rig_create(model, &d, NULL, &s.report, &e);
-   if (!s.rig) fail("%s: %s", scene->path, e.info);
+   if (!s.rig) ex_die("%s: %s", scene->path, e.info);
    palette = (float *)take(scene->joints, 12 * sizeof(float));
    local = (float *)take(scene->joints, 10 * sizeof(float));
    memcpy(local, scene->rest, scene->joints * 10 * sizeof(float));
@@ -490,14 +470,14 @@ static void frame_once(const subject *s, const dn_parallel *par, double ms[PARTS
    pose.strength = 1.0f;
    out.positions = s->positions;
    t[0] = ex_now_ms();
-   if (dn_stage_skin(s->rig, &pose, s->scratch, s->scratch_bytes, par, &e) != DN_OK) fail("%s: %s", s->name, e.info);
+   if (dn_stage_skin(s->rig, &pose, s->scratch, s->scratch_bytes, par, &e) != DN_OK) ex_die("%s: %s", s->name, e.info);
    t[1] = ex_now_ms();
    dn_stage_rows(s->rig, s->scratch, par);
    t[2] = ex_now_ms();
    dn_stage_network(s->rig, s->scratch, par, NULL);
    t[3] = ex_now_ms();
    /* twice: the second time displaces once more, which costs the same, and makes the normals */
-   if (dn_stage_output(s->rig, &pose, &out, s->scratch, par, &e) != DN_OK) fail("%s: %s", s->name, e.info);
+   if (dn_stage_output(s->rig, &pose, &out, s->scratch, par, &e) != DN_OK) ex_die("%s: %s", s->name, e.info);
    t[4] = ex_now_ms();
    out.normals = s->normals;
    dn_stage_output(s->rig, &pose, &out, s->scratch, par, &e);
@@ -718,7 +698,7 @@ static void run_skinning(bench *b)
       ex_quiet_begin(b->quiet);
       start = ex_now_ms();
       for (k = 0; k < 100; k++)
-         if (dn_stage_skin(s.rig, &pose, s.scratch, s.scratch_bytes, NULL, &e) != DN_OK) fail("skinning: %s", e.info);
+         if (dn_stage_skin(s.rig, &pose, s.scratch, s.scratch_bytes, NULL, &e) != DN_OK) ex_die("skinning: %s", e.info);
       start = ex_now_ms() - start;
       ex_times_add(&t, start / 100, ex_quiet_end(b->quiet));
    } while (ex_now_ms() < end && t.n[0] < 200);
@@ -747,7 +727,7 @@ static void run_bind(bench *b, ex_scene *scene)
    dn_report r;
    double end = ex_now_ms() + 1e3 * b->o.seconds, ms;
    free(file);
-   if (!m || (!scene && !made)) fail("bind: out of memory");
+   if (!m || (!scene && !made)) ex_die("bind: out of memory");
    memset(&t, 0, sizeof t);
    memset(&r, 0, sizeof r);
    do {
@@ -770,7 +750,7 @@ static void run_bind(bench *b, ex_scene *scene)
          d.parallel = &b->par[1];
          rig = dn_rig_create(m, &d, NULL, &r, &e);
          start = ex_now_ms() - start;
-         if (!rig) fail("bind: %s", e.info);
+         if (!rig) ex_die("bind: %s", e.info);
          dn_rig_free(rig);
       }
       ex_times_add(&t, start, ex_quiet_end(b->quiet));
@@ -843,7 +823,7 @@ static void run_garment(bench *b, size_t nodes)
    ex_times t[5];
    static const char *const names[] = { "follow", "coarse stage", "detail stage", "output and normals", "frame" };
    double end;
-   if (!body || !cloth) fail("out of memory");
+   if (!body || !cloth) ex_die("out of memory");
    dn_model_describe(m, &info);
    memset(&d, 0, sizeof d);
    memset(&pose, 0, sizeof pose);
@@ -860,10 +840,10 @@ static void run_garment(bench *b, size_t nodes)
    d.alpha = fixed, d.alphas = 3, d.beta = fixed, d.betas = 10, d.thetas = 72;
    d.parallel = &b->par[1];
    g = dn_garment_create(&d, NULL, NULL, &e);
-   if (!g) fail("clothnet: %s", e.info);
+   if (!g) ex_die("clothnet: %s", e.info);
    dn_garment_describe(g, &view);
    scratch = dn_garment_scratch_create(g, b->o.threads, NULL, &bytes, &e);
-   if (!scratch) fail("clothnet: %s", e.info);
+   if (!scratch) ex_die("clothnet: %s", e.info);
    positions = (float *)take(view.vertices, 3 * sizeof(float));
    normals = (float *)take(view.vertices, 3 * sizeof(float));
    pose.palette = body->palette, pose.theta = fixed + 13, pose.strength = 1;
@@ -875,13 +855,13 @@ static void run_garment(bench *b, size_t nodes)
       int counts;
       ex_quiet_begin(b->quiet);
       at[0] = ex_now_ms();
-      if (dn_garment_stage_follow(g, &pose, scratch, bytes, &b->par[1], &e) != DN_OK) fail("clothnet: %s", e.info);
+      if (dn_garment_stage_follow(g, &pose, scratch, bytes, &b->par[1], &e) != DN_OK) ex_die("clothnet: %s", e.info);
       at[1] = ex_now_ms();
       dn_garment_stage_coarse(g, &pose, scratch, &b->par[1], NULL);
       at[2] = ex_now_ms();
       dn_garment_stage_refine(g, &pose, scratch, &b->par[1], NULL);
       at[3] = ex_now_ms();
-      if (dn_garment_stage_output(g, &pose, &out, scratch, &b->par[1], &e) != DN_OK) fail("clothnet: %s", e.info);
+      if (dn_garment_stage_output(g, &pose, &out, scratch, &b->par[1], &e) != DN_OK) ex_die("clothnet: %s", e.info);
       at[4] = ex_now_ms();
       counts = ex_quiet_end(b->quiet);
       for (k = 0; k < 4; k++) ex_times_add(&t[k], at[k + 1] - at[k], counts);
@@ -914,16 +894,17 @@ int main(int argc, char **argv)
    ex_scene *scene = NULL;
    char error[EX_ERROR];
    size_t k, count;
+   ex_program("bench");
    memset(&b, 0, sizeof b);
    b.o = read_options(argc, argv);
    b.pool = ex_pool_create(b.o.threads);
    b.quiet = b.pool ? ex_quiet_create(b.o.noise) : NULL;
    b.evict = (unsigned char *)take(EVICT, 1);
-   if (!b.quiet) fail("out of memory or threads");
+   if (!b.quiet) ex_die("out of memory or threads");
    b.par[1] = ex_pool_parallel(b.pool);
-   if (b.o.json && !(b.json = fopen(b.o.json, "w"))) fail("%s: cannot be written", b.o.json);
+   if (b.o.json && !(b.json = fopen(b.o.json, "w"))) ex_die("%s: cannot be written", b.o.json);
    if (b.json) fputs("[", b.json);
-   if (b.o.character && !(scene = ex_scene_load(b.o.character, error))) fail("%s", error);
+   if (b.o.character && !(scene = ex_scene_load(b.o.character, error))) ex_die("%s", error);
    if (ex_quiet_blind(b.quiet)) puts("/proc does not tell how busy the processors are: every run counts");
    measure_peak(&b);
    printf("deformnet %d.%d.%d, kernel %s, %u threads of %ld processors; float32 peak %.0f GFLOP/s on one, %.0f on all threads\n", DN_VERSION / 10000,
@@ -943,7 +924,7 @@ int main(int argc, char **argv)
       }
       m = load(&b, arch, b.o.model);
       dn_model_describe(m, &info);
-      if (dn__is_garment(m) || info.arch == DN_NEURALBLENDSHAPES) fail("%s: a %s model; here run those for characters", b.o.model, info.arch_name);
+      if (dn__is_garment(m) || info.arch == DN_NEURALBLENDSHAPES) ex_die("%s: a %s model; here run those for characters", b.o.model, info.arch_name);
       arch = info.arch_name;
       s = scene ? subject_character(&b, arch, m, scene) : subject_made(&b, arch, m, b.o.nodes ? b.o.nodes : 10220);
       frame = run_network(&b, &s);
@@ -966,7 +947,7 @@ int main(int argc, char **argv)
    print_bars(&b);
    printf("\n%lu of %lu runs counted: during the others the machine was busy with something else\n", (unsigned long)ex_quiet_counted(b.quiet),
           (unsigned long)ex_quiet_made(b.quiet));
-   if (b.json && (fputs("\n]\n", b.json) == EOF || fclose(b.json) != 0)) fail("%s: cannot be written", b.o.json);
+   if (b.json && (fputs("\n]\n", b.json) == EOF || fclose(b.json) != 0)) ex_die("%s: cannot be written", b.o.json);
    ex_scene_free(scene);
    ex_quiet_free(b.quiet);
    ex_pool_free(b.pool);

@@ -15,14 +15,13 @@
 #include "common/picture.h"
 #include "common/pool.h"
 #include "common/scene.h"
+#include "common/tool.h"
 #include <errno.h>
 #include <limits.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 #include <unistd.h>
 
 /* ===================================================================================== >>small things */
@@ -34,49 +33,11 @@ static const char usage[] =
    "  --frames a:b  frames a, a+1 .. b-1 (either may be left out); with --truth, by the truth's own frame numbers\n"
    "  --truth       evaluates the truth's poses; frames that it marks as not settled are left out and counted\n";
 
-static int say(const char *format, ...) /* one line to stderr; returns the exit code of a failure */
-{
-   va_list list;
-   fputs("refine: ", stderr);
-   va_start(list, format);
-   vfprintf(stderr, format, list);
-   va_end(list);
-   fputc('\n', stderr);
-   return 1;
-}
-static int say_error(const char *file, const dn_error *e)
-{
-   return say("%s: %s: %s (%s)", file, e->where ? e->where : "deformnet", dn_result_text(e->code), e->info);
-}
-
-static void *take(size_t count, size_t size) /* zero-filled; NULL when it does not fit */
-{
-   return size && count > SIZE_MAX / size ? NULL : calloc(count ? count : 1, size ? size : 1);
-}
-static double now_ms(void)
-{
-   struct timespec t;
-   clock_gettime(CLOCK_MONOTONIC, &t);
-   return (double)t.tv_sec * 1e3 + (double)t.tv_nsec * 1e-6;
-}
-
-static int by_double(const void *a, const void *b)
-{
-   double x = *(const double *)a, y = *(const double *)b;
-   return (x > y) - (x < y);
-}
 static int by_float(const void *a, const void *b)
 {
    float x = *(const float *)a, y = *(const float *)b;
    return (x > y) - (x < y);
 }
-static double median(double *x, size_t n) /* sorts x */
-{
-   if (n == 0) return 0;
-   qsort(x, n, sizeof *x, by_double);
-   return n % 2 ? x[n / 2] : (x[n / 2 - 1] + x[n / 2]) / 2;
-}
-
 typedef struct figures { double mean, p99, max; } figures; /* centimetres */
 static figures measure(float *error, size_t n) /* metres; sorts error. The 99th percentile is interpolated linearly */
 {
@@ -99,12 +60,6 @@ typedef struct options {
    long first, end; /* frames */
    unsigned threads;
 } options;
-
-static int ends_with(const char *s, const char *end)
-{
-   size_t n = strlen(s), m = strlen(end);
-   return n >= m && strcmp(s + n - m, end) == 0;
-}
 
 static int read_number(const char *s, const char **end, long *value)
 {
@@ -137,43 +92,24 @@ static int read_options(options *o, int argc, char **argv)
          exit(0);
       }
       if (!text && strcmp(key, "--threads") != 0 && strcmp(key, "--frames") != 0)
-         return say("unknown argument \"%s\" (--help lists them)", key);
-      if (!value) return say("%s needs a value", key);
+         return ex_say("unknown argument \"%s\" (--help lists them)", key);
+      if (!value) return ex_say("%s needs a value", key);
       i++;
       if (text) *text = value;
       else if (strcmp(key, "--threads") == 0) {
-         if (read_number(value, &rest, &n) || *rest || n < 1 || n > 256) return say("--threads %s: expected 1 to 256", value);
+         if (read_number(value, &rest, &n) || *rest || n < 1 || n > 256) return ex_say("--threads %s: expected 1 to 256", value);
          o->threads = (unsigned)n;
       } else {
          rest = value;
-         if (*rest != ':' && read_number(rest, &rest, &o->first)) return say("--frames %s: expected a:b", value);
+         if (*rest != ':' && read_number(rest, &rest, &o->first)) return ex_say("--frames %s: expected a:b", value);
          if (*rest++ != ':' || (*rest && read_number(rest, &rest, &o->end)) || *rest || o->end <= o->first)
-            return say("--frames %s: expected a:b with a < b", value);
+            return ex_say("--frames %s: expected a:b with a < b", value);
       }
    }
-   if (o->out && !ends_with(o->out, ".glb") && !ends_with(o->out, ".safetensors"))
-      return say("--out %s: expected a name ending in .glb or .safetensors", o->out);
-   if (!o->threads) {
-      long n = sysconf(_SC_NPROCESSORS_ONLN);
-      o->threads = n < 1 ? 1 : n > 8 ? 8 : (unsigned)n;
-   }
+   if (o->out && !ex_ends_with(o->out, ".glb") && !ex_ends_with(o->out, ".safetensors"))
+      return ex_say("--out %s: expected a name ending in .glb or .safetensors", o->out);
+   if (!o->threads) o->threads = ex_processors();
    return 0;
-}
-
-/* a bundled file, from the working directory or beside the program */
-static const char *bundled(const char *program, const char *name, char *path, size_t size)
-{
-   const char *slash = strrchr(program, '/');
-   const char *found = NULL;
-   int k;
-   for (k = 0; k < 3 && !found; k++) {
-      if (k == 0) snprintf(path, size, "%s", name);
-      else if (k == 1) snprintf(path, size, "examples/%s", name);
-      else if (slash) snprintf(path, size, "%.*s/%s", (int)(slash - program), program, name);
-      if (access(path, R_OK) == 0) found = path;
-   }
-   if (!found) snprintf(path, size, "%s", name); /* opening it gives the error */
-   return path;
 }
 
 /* ===================================================================================== >>truth */
@@ -200,23 +136,23 @@ static int truth_open(truth *t, const char *path, const ex_scene *scene)
    const ex_tensor *numbers, *settled;
    memset(t, 0, sizeof *t);
    t->file = ex_tensors_open(path, error);
-   if (!t->file) return say("%s", error);
+   if (!t->file) return ex_say("%s", error);
    sides[0] = 0, sides[1] = scene->vertices, sides[2] = 3;
    t->vertices = ex_tensors_get(t->file, "vertices", 3, sides, error);
-   if (!t->vertices) return say("%s", error);
-   if (t->vertices->type != EX_F32) return say("%s: vertices: expected F32, file has %s", path, ex_dtype_name(t->vertices->type));
+   if (!t->vertices) return ex_say("%s", error);
+   if (t->vertices->type != EX_F32) return ex_say("%s: vertices: expected F32, file has %s", path, ex_dtype_name(t->vertices->type));
    t->frames = t->vertices->shape[0];
-   t->numbers = (uint32_t *)take(t->frames, sizeof *t->numbers);
-   if (!t->numbers) return say("%s: out of memory", path);
+   t->numbers = (uint32_t *)ex_take(t->frames, sizeof *t->numbers);
+   if (!t->numbers) return ex_say("%s: out of memory", path);
    for (f = 0; f < t->frames; f++) t->numbers[f] = (uint32_t)f;
    if (ex_tensors_find(t->file, "frames")) {
       numbers = ex_tensors_get(t->file, "frames", 1, &t->frames, error);
-      if (!numbers || !ex_tensor_u32(t->file, numbers, t->numbers, error)) return say("%s", error);
+      if (!numbers || !ex_tensor_u32(t->file, numbers, t->numbers, error)) return ex_say("%s", error);
    }
    if (ex_tensors_find(t->file, "settled")) {
       settled = ex_tensors_get(t->file, "settled", 1, &t->frames, error);
-      t->settled = settled ? (float *)take(t->frames, sizeof *t->settled) : NULL;
-      if (!t->settled) return say("%s", settled ? "out of memory" : error);
+      t->settled = settled ? (float *)ex_take(t->frames, sizeof *t->settled) : NULL;
+      if (!t->settled) return ex_say("%s", settled ? "out of memory" : error);
       ex_tensor_f32(settled, t->settled);
    }
    return 0;
@@ -235,26 +171,8 @@ static dn_rig *bind(const dn_model *model, const ex_scene *s, const dn_parallel 
    dn_rig_desc d;
    dn_skin_set set;
    dn_progress progress;
-   memset(&d, 0, sizeof d);
-   memset(&set, 0, sizeof set);
    memset(&progress, 0, sizeof progress);
-   set.influences = s->influences;
-   set.joints = s->skin_joints;
-   set.joint_type = DN_U32;
-   set.weights = s->skin_weights;
-   set.weight_type = DN_F32;
-   d.mesh.vertices = s->vertices;
-   d.mesh.positions = s->positions;
-   d.mesh.triangles = s->triangles;
-   d.mesh.indices = s->triangle;
-   d.mesh.index_type = DN_U32;
-   d.mesh.skin_sets = 1;
-   d.mesh.skin = &set;
-   d.skeleton.joints = s->joints;
-   d.skeleton.names = (const char *const *)s->names;
-   d.skeleton.parents = s->parents;
-   d.skeleton.inverse_bind = s->inverse_bind;
-   d.skeleton.matrix = DN_3X4_ROWS;
+   ex_describe(s, &d, &set);
    if (isatty(2)) progress.step = show_progress;
    d.progress = &progress;
    d.parallel = parallel;
@@ -298,8 +216,8 @@ typedef struct job {
 static int choose_frames(job *j)
 {
    size_t f;
-   j->frame = (size_t *)take(j->motion->frames, sizeof *j->frame);
-   if (!j->frame) return say("out of memory");
+   j->frame = (size_t *)ex_take(j->motion->frames, sizeof *j->frame);
+   if (!j->frame) return ex_say("out of memory");
    for (f = 0; f < j->motion->frames; f++) {
       unsigned long number = j->truth.file ? j->truth.numbers[f] : (unsigned long)f;
       if (number < (unsigned long)j->o.first || number >= (unsigned long)j->o.end) continue;
@@ -307,11 +225,11 @@ static int choose_frames(job *j)
       else j->frame[j->frames++] = f;
    }
    if (j->frames) return 0;
-   if (j->unsettled) return say("%s: none of the %zu frames asked for has settled", j->o.truth, j->unsettled);
+   if (j->unsettled) return ex_say("%s: none of the %zu frames asked for has settled", j->o.truth, j->unsettled);
    if (j->truth.file && j->truth.frames)
-      return say("--frames: no frame in that range; the truth has %zu, from %lu to %lu", j->truth.frames,
+      return ex_say("--frames: no frame in that range; the truth has %zu, from %lu to %lu", j->truth.frames,
                  (unsigned long)j->truth.numbers[0], (unsigned long)j->truth.numbers[j->truth.frames - 1]);
-   return say("--frames: no frame in that range; there are %zu", j->motion->frames);
+   return ex_say("--frames: no frame in that range; there are %zu", j->motion->frames);
 }
 
 static int allocate(job *j)
@@ -319,21 +237,21 @@ static int allocate(job *j)
    size_t v = j->scene->vertices, kept = j->o.out ? j->frames : 1, i;
    int bad = 0;
    j->scratch_bytes = dn_scratch_size(j->rig, j->parallel.workers);
-   j->scratch_block = take(j->scratch_bytes + 63, 1);
+   j->scratch_block = ex_take(j->scratch_bytes + 63, 1);
    j->scratch = (void *)(((uintptr_t)j->scratch_block + 63) & ~(uintptr_t)63);
-   for (i = 0; i < STAGES; i++) bad |= !(j->ms[i] = (double *)take(j->frames, sizeof **j->ms));
-   bad |= !(j->total = (double *)take(j->frames, sizeof *j->total));
-   bad |= !(j->lbs_mean = (double *)take(j->frames, sizeof *j->lbs_mean));
-   bad |= !(j->refined_mean = (double *)take(j->frames, sizeof *j->refined_mean));
-   bad |= !(j->skinned = (float *)take(v, 12)) || !(j->skinned_normals = (float *)take(v, 12));
-   for (i = 0; i < 6; i++) bad |= !(j->worst[i] = (float *)take(v, 12));
-   if (v > SIZE_MAX / 12 / kept) return say("out of memory");
-   bad |= !(j->refined = (float *)take(kept * v, 12)) || !(j->normals = (float *)take(kept * v, 12));
-   if (v > SIZE_MAX / 4 / j->frames) return say("out of memory");
-   bad |= !(j->lbs_error = (float *)take(j->frames * v, 4)) || !(j->refined_error = (float *)take(j->frames * v, 4));
-   for (i = 0; i < 4; i++) bad |= !(j->before[i / 2][i % 2] = (float *)take(v, 12));
-   for (i = 0; i < 2; i++) bad |= !(j->jump[i] = (float *)take(j->frames * v, 4));
-   return bad || !j->scratch_block ? say("out of memory for %zu frames of %zu vertices", j->frames, v) : 0;
+   for (i = 0; i < STAGES; i++) bad |= !(j->ms[i] = (double *)ex_take(j->frames, sizeof **j->ms));
+   bad |= !(j->total = (double *)ex_take(j->frames, sizeof *j->total));
+   bad |= !(j->lbs_mean = (double *)ex_take(j->frames, sizeof *j->lbs_mean));
+   bad |= !(j->refined_mean = (double *)ex_take(j->frames, sizeof *j->refined_mean));
+   bad |= !(j->skinned = (float *)ex_take(v, 12)) || !(j->skinned_normals = (float *)ex_take(v, 12));
+   for (i = 0; i < 6; i++) bad |= !(j->worst[i] = (float *)ex_take(v, 12));
+   if (v > SIZE_MAX / 12 / kept) return ex_say("out of memory");
+   bad |= !(j->refined = (float *)ex_take(kept * v, 12)) || !(j->normals = (float *)ex_take(kept * v, 12));
+   if (v > SIZE_MAX / 4 / j->frames) return ex_say("out of memory");
+   bad |= !(j->lbs_error = (float *)ex_take(j->frames * v, 4)) || !(j->refined_error = (float *)ex_take(j->frames * v, 4));
+   for (i = 0; i < 4; i++) bad |= !(j->before[i / 2][i % 2] = (float *)ex_take(v, 12));
+   for (i = 0; i < 2; i++) bad |= !(j->jump[i] = (float *)ex_take(j->frames * v, 4));
+   return bad || !j->scratch_block ? ex_say("out of memory for %zu frames of %zu vertices", j->frames, v) : 0;
 }
 
 static float distance(const float *a, const float *b)
@@ -394,9 +312,9 @@ static void compare(job *j, size_t i, const float *refined, const float *refined
 
 static int deform_frames(job *j, const char *character)
 {
-   float *palette = (float *)take(j->scene->joints, 12 * sizeof *palette);
+   float *palette = (float *)ex_take(j->scene->joints, 12 * sizeof *palette);
    size_t i, n = j->scene->vertices * 3;
-   int bad = palette ? 0 : say("out of memory");
+   int bad = palette ? 0 : ex_say("out of memory");
    for (i = 0; i < j->frames && !bad; i++) {
       size_t keep = j->o.out ? i * n : 0;
       dn_pose pose;
@@ -414,19 +332,19 @@ static int deform_frames(job *j, const char *character)
       out.positions = j->refined + keep;
       out.normals = j->normals + keep;
       /* the four stages of dn_deform, called one by one to time them */
-      t[SKIN] = now_ms();
+      t[SKIN] = ex_now_ms();
       result = dn_stage_skin(j->rig, &pose, j->scratch, j->scratch_bytes, &j->parallel, &err);
-      t[FEATURES] = now_ms();
+      t[FEATURES] = ex_now_ms();
       if (result == DN_OK || result == DN_NOT_FINITE) {
          dn_stage_rows(j->rig, j->scratch, &j->parallel);
-         t[NETWORK] = now_ms();
+         t[NETWORK] = ex_now_ms();
          dn_stage_network(j->rig, j->scratch, &j->parallel, NULL);
-         t[NORMALS] = now_ms();
+         t[NORMALS] = ex_now_ms();
          result = dn_stage_output(j->rig, &pose, &out, j->scratch, &j->parallel, &err);
-         t[STAGES] = now_ms();
+         t[STAGES] = ex_now_ms();
       }
       if (result != DN_OK && result != DN_NOT_FINITE) {
-         bad = say_error(character, &err);
+         bad = ex_say_error(character, &err);
          break;
       }
       if (out.fallback_nodes) j->fallback_nodes += out.fallback_nodes, j->fallback_frames++;
@@ -490,7 +408,7 @@ static int write_json(const job *j)
 {
    FILE *f = fopen(j->o.json, "w");
    int known = j->truth.file != NULL, bad;
-   if (!f) return say("%s: cannot write there: %s", j->o.json, strerror(errno));
+   if (!f) return ex_say("%s: cannot write there: %s", j->o.json, strerror(errno));
    fprintf(f, "{\n  \"frames\": %zu,\n  \"vertices\": %zu,\n  \"nodes\": %zu,\n  \"threads\": %u", j->frames, j->view.vertices,
            j->view.nodes, j->parallel.workers);
    json_figure(f, "ms_bind", 1, j->ms_bind);
@@ -515,7 +433,7 @@ static int write_json(const job *j)
    fprintf(f, ",\n  \"fallback_nodes\": %zu,\n  \"kernels\": \"%s\"\n}\n", j->fallback_nodes, dn_kernel_name());
    bad = ferror(f) != 0;
    bad |= fclose(f) != 0;
-   return bad ? say("%s: writing failed", j->o.json) : 0;
+   return bad ? ex_say("%s: writing failed", j->o.json) : 0;
 }
 
 static int write_frames(const job *j)
@@ -523,10 +441,10 @@ static int write_frames(const job *j)
    char error[EX_ERROR];
    size_t v = j->scene->vertices, i;
    int good = 0;
-   float *times = (float *)take(j->frames, sizeof *times);
-   if (!times) return say("out of memory");
+   float *times = (float *)ex_take(j->frames, sizeof *times);
+   if (!times) return ex_say("out of memory");
    for (i = 0; i < j->frames; i++) times[i] = j->motion->times[j->frame[i]] - j->motion->times[j->frame[0]];
-   if (ends_with(j->o.out, ".glb")) {
+   if (ex_ends_with(j->o.out, ".glb")) {
       ex_baked baked;
       memset(&baked, 0, sizeof baked);
       baked.name = "refined";
@@ -542,7 +460,7 @@ static int write_frames(const job *j)
       ex_writer *w = ex_writer_open(j->o.out, error);
       if (w) {
          size_t shape[3], vertices, frames, times_id;
-         uint32_t *number = (uint32_t *)take(j->frames, sizeof *number);
+         uint32_t *number = (uint32_t *)ex_take(j->frames, sizeof *number);
          shape[0] = j->frames, shape[1] = v, shape[2] = 3;
          ex_writer_meta(w, "units", "metres");
          vertices = ex_writer_tensor(w, "vertices", EX_F32, 3, shape);
@@ -558,7 +476,7 @@ static int write_frames(const job *j)
       }
    }
    free(times);
-   return good ? 0 : say("%s", error);
+   return good ? 0 : ex_say("%s", error);
 }
 
 static int write_picture(job *j, const char *character)
@@ -569,8 +487,8 @@ static int write_picture(job *j, const char *character)
    const char *name = strrchr(character, '/'), *why, *dot;
    size_t n = j->scene->vertices, i, w = j->worst_frame;
    unsigned long number = j->truth.file ? j->truth.numbers[j->frame[w]] : (unsigned long)j->frame[w];
-   float *error[2], *sorted = (float *)take(n, sizeof *sorted);
-   if (!sorted) return say("out of memory");
+   float *error[2], *sorted = (float *)ex_take(n, sizeof *sorted);
+   if (!sorted) return ex_say("out of memory");
    name = name ? name + 1 : character;
    dot = strrchr(name, '.');
    memset(&c, 0, sizeof c);
@@ -607,7 +525,7 @@ static int write_picture(job *j, const char *character)
    c.looked_at = j->truth.file ? 0 : 1;
    why = ex_compare(j->o.picture, &c);
    free(sorted);
-   return why ? say("%s: %s", j->o.picture, why) : 0;
+   return why ? ex_say("%s: %s", j->o.picture, why) : 0;
 }
 
 /* ===================================================================================== >>main */
@@ -623,34 +541,34 @@ static int run(job *j, int argc, char **argv)
    if (read_options(&j->o, argc, argv)) return 1;
    bundled_character = !j->o.character;
    if (bundled_character && !j->o.motion && !j->o.truth)
-      j->o.truth = bundled(program, "demo/truth.safetensors", paths[0], sizeof paths[0]);
-   model = j->o.model ? j->o.model : bundled(program, "models/humanoid.safetensors", paths[1], sizeof paths[1]);
-   character = bundled_character ? bundled(program, "demo/humanoid.safetensors", paths[2], sizeof paths[2]) : j->o.character;
+      j->o.truth = ex_bundled(program, "demo/truth.safetensors", paths[0], sizeof paths[0]);
+   model = j->o.model ? j->o.model : ex_bundled(program, "models/humanoid.safetensors", paths[1], sizeof paths[1]);
+   character = bundled_character ? ex_bundled(program, "demo/humanoid.safetensors", paths[2], sizeof paths[2]) : j->o.character;
    motion = j->o.truth ? j->o.truth : j->o.motion ? j->o.motion : character;
 
    j->model = dn_model_load_file(model, NULL, &err);
-   if (!j->model) return say_error(model, &err);
+   if (!j->model) return ex_say_error(model, &err);
    dn_model_describe(j->model, &j->info);
    j->scene = ex_scene_load(character, error);
-   if (!j->scene) return say("%s", error);
+   if (!j->scene) return ex_say("%s", error);
    if (j->o.truth && truth_open(&j->truth, j->o.truth, j->scene)) return 1;
    j->motion = ex_motion_load(motion, j->o.animation, j->scene, error);
-   if (!j->motion) return say("%s%s", error, motion == character ? "; give --motion or --truth" : "");
+   if (!j->motion) return ex_say("%s%s", error, motion == character ? "; give --motion or --truth" : "");
    if (j->truth.file && j->motion->frames != j->truth.frames)
-      return say("%s: palettes of %zu frames, vertices of %zu", j->o.truth, j->motion->frames, j->truth.frames);
+      return ex_say("%s: palettes of %zu frames, vertices of %zu", j->o.truth, j->motion->frames, j->truth.frames);
    if (choose_frames(j)) return 1;
 
-   if (j->o.threads > 1 && !(j->pool = ex_pool_create(j->o.threads))) return say("cannot start %u threads", j->o.threads);
+   if (j->o.threads > 1 && !(j->pool = ex_pool_create(j->o.threads))) return ex_say("cannot start %u threads", j->o.threads);
    j->parallel = ex_pool_parallel(j->pool);
-   t0 = now_ms();
+   t0 = ex_now_ms();
    j->rig = bind(j->model, j->scene, &j->parallel, &j->report, &err);
-   if (!j->rig) return say_error(character, &err);
-   j->ms_bind = now_ms() - t0;
+   if (!j->rig) return ex_say_error(character, &err);
+   j->ms_bind = ex_now_ms() - t0;
    dn_rig_describe(j->rig, &j->view);
    if (allocate(j) || deform_frames(j, character)) return 1;
 
-   for (i = 0; i < STAGES; i++) j->ms_stage[i] = median(j->ms[i], j->frames);
-   j->ms_total = median(j->total, j->frames);
+   for (i = 0; i < STAGES; i++) j->ms_stage[i] = ex_median(j->ms[i], j->frames);
+   j->ms_total = ex_median(j->total, j->frames);
    if (j->o.out && write_frames(j)) return 1;
    if (j->o.picture && write_picture(j, character)) return 1; /* before measure() sorts the errors */
    n = j->frames * j->scene->vertices;
@@ -670,6 +588,7 @@ int main(int argc, char **argv)
    job j;
    size_t i;
    int code;
+   ex_program("refine");
    memset(&j, 0, sizeof j);
    code = run(&j, argc, argv);
    for (i = 0; i < STAGES; i++) free(j.ms[i]);

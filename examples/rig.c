@@ -17,13 +17,12 @@
 #include "common/pool.h"
 #include "common/retarget.h"
 #include "common/scene.h"
+#include "common/tool.h"
 #include <errno.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 #include <unistd.h>
 
 /* ===================================================================================== >>small things */
@@ -46,35 +45,6 @@ static const char joints_mixamo[] =
    "Hips,LeftUpLeg,RightUpLeg,Spine,LeftLeg,RightLeg,Spine1,LeftFoot,RightFoot,Spine2,LeftToeBase,RightToeBase,Neck,LeftShoulder,"
    "RightShoulder,Head,LeftArm,RightArm,LeftForeArm,RightForeArm,LeftHand,RightHand,LeftHandMiddle1,RightHandMiddle1";
 
-static int say(const char *format, ...) /* one line to stderr; returns the exit code of a failure */
-{
-   va_list list;
-   fputs("rig: ", stderr);
-   va_start(list, format);
-   vfprintf(stderr, format, list);
-   va_end(list);
-   fputc('\n', stderr);
-   return 1;
-}
-static int say_error(const char *file, const dn_error *e)
-{
-   return say("%s: %s: %s (%s)", file, e->where ? e->where : "deformnet", dn_result_text(e->code), e->info);
-}
-static void *take(size_t count, size_t size) /* zero-filled; NULL when it does not fit */
-{
-   return size && count > SIZE_MAX / size ? NULL : calloc(count ? count : 1, size ? size : 1);
-}
-static double now_ms(void)
-{
-   struct timespec t;
-   clock_gettime(CLOCK_MONOTONIC, &t);
-   return (double)t.tv_sec * 1e3 + (double)t.tv_nsec * 1e-6;
-}
-static int by_double(const void *a, const void *b)
-{
-   double x = *(const double *)a, y = *(const double *)b;
-   return (x > y) - (x < y);
-}
 static double distance(const float *a, const float *b)
 {
    double x = (double)a[0] - (double)b[0], y = (double)a[1] - (double)b[1], z = (double)a[2] - (double)b[2];
@@ -116,32 +86,29 @@ static int read_options(options *o, int argc, char **argv)
          continue;
       }
       if (!text && strcmp(key, "--influences") != 0 && strcmp(key, "--weights") != 0 && strcmp(key, "--threads") != 0)
-         return say("unknown argument \"%s\" (--help lists them)", key);
-      if (!value) return say("%s needs a value", key);
+         return ex_say("unknown argument \"%s\" (--help lists them)", key);
+      if (!value) return ex_say("%s needs a value", key);
       i++;
       n = strtol(value, &rest, 10);
       if (text) *text = value;
       else if (strcmp(key, "--weights") == 0) {
-         if (strcmp(value, "signed") != 0 && strcmp(value, "unsigned") != 0) return say("--weights %s: expected signed or unsigned", value);
+         if (strcmp(value, "signed") != 0 && strcmp(value, "unsigned") != 0) return ex_say("--weights %s: expected signed or unsigned", value);
          o->is_signed = value[0] == 's';
       } else if (strcmp(key, "--threads") == 0) {
-         if (*rest || n < 1 || n > 256) return say("--threads %s: expected 1 to 256", value);
+         if (*rest || n < 1 || n > 256) return ex_say("--threads %s: expected 1 to 256", value);
          o->threads = (unsigned)n;
       } else if (strcmp(value, "all") == 0) o->influences = 0;
       else {
-         if (*rest || n < 4 || n > 60 || n % 4) return say("--influences %s: expected 4, 8, 12 .. 60 or all", value);
+         if (*rest || n < 4 || n > 60 || n % 4) return ex_say("--influences %s: expected 4, 8, 12 .. 60 or all", value);
          o->influences = (size_t)n;
       }
    }
-   if (!o->mesh || !o->out) return say("needs --mesh and --out (--help lists all)");
+   if (!o->mesh || !o->out) return ex_say("needs --mesh and --out (--help lists all)");
    if (!o->model)
-      return say("needs --model: no trained weights ship yet; examples/train/convert_nbs.py makes a model from the published checkpoint");
-   if (strlen(o->out) < 4 || strcmp(o->out + strlen(o->out) - 4, ".glb") != 0) return say("--out %s: expected a name ending in .glb", o->out);
-   if (o->picture && !o->motion) return say("--picture shows a frame of a motion: give --motion");
-   if (!o->threads) {
-      long n = sysconf(_SC_NPROCESSORS_ONLN);
-      o->threads = n < 1 ? 1 : n > 8 ? 8 : (unsigned)n;
-   }
+      return ex_say("needs --model: no trained weights ship yet; examples/train/convert_nbs.py makes a model from the published checkpoint");
+   if (strlen(o->out) < 4 || strcmp(o->out + strlen(o->out) - 4, ".glb") != 0) return ex_say("--out %s: expected a name ending in .glb", o->out);
+   if (o->picture && !o->motion) return ex_say("--picture shows a frame of a motion: give --motion");
+   if (!o->threads) o->threads = ex_processors();
    return 0;
 }
 
@@ -211,7 +178,7 @@ static int place(job *j)
    j->hand_span = wide;
    j->hand_height = hands;
    if (!j->o.fit) return 0;
-   if (!(wide > 1e-6)) return say("%s: has no width along x to fit", j->o.mesh);
+   if (!(wide > 1e-6)) return ex_say("%s: has no width along x to fit", j->o.mesh);
    j->scale = (float)(wide / span);
    j->lift = (float)(hands - height * (double)j->scale);
    for (v = 0; v < j->mesh->vertices; v++)
@@ -229,8 +196,8 @@ static int bind(job *j)
    memset(&d, 0, sizeof d);
    memset(&progress, 0, sizeof progress);
    memset(&err, 0, sizeof err);
-   j->seen = (float *)take(j->mesh->vertices, 3 * sizeof(float));
-   if (!j->seen) return say("out of memory");
+   j->seen = (float *)ex_take(j->mesh->vertices, 3 * sizeof(float));
+   if (!j->seen) return ex_say("out of memory");
    memcpy(j->seen, j->mesh->positions, j->mesh->vertices * 3 * sizeof(float));
    if (place(j)) return 1;
    progress.step = show_progress;
@@ -241,17 +208,17 @@ static int bind(job *j)
    d.mesh.index_type = DN_U32;
    d.parallel = &j->parallel;
    d.progress = isatty(2) ? &progress : NULL;
-   t0 = now_ms();
+   t0 = ex_now_ms();
    j->blend = dn_blend_create(j->model, &d, NULL, &err);
-   if (!j->blend) return say_error(err.code == DN_BAD_MESH ? j->o.mesh : j->o.model, &err);
-   j->ms_bind = now_ms() - t0;
+   if (!j->blend) return ex_say_error(err.code == DN_BAD_MESH ? j->o.mesh : j->o.model, &err);
+   j->ms_bind = ex_now_ms() - t0;
    dn_blend_describe(j->blend, &j->view);
    j->coefficients = (j->view.joints - 1) * j->view.shapes;
-   j->joint_rest = (float *)take(j->view.joints, 3 * sizeof(float));
-   if (!j->joint_rest) return say("out of memory");
+   j->joint_rest = (float *)ex_take(j->view.joints, 3 * sizeof(float));
+   if (!j->joint_rest) return ex_say("out of memory");
    for (k = 0; k < 3 * j->view.joints; k++) j->joint_rest[k] = j->view.joint_rest[k] * j->scale + (k % 3 == 1 ? j->lift : 0);
    j->scratch = dn_blend_scratch_create(j->blend, NULL, &j->scratch_bytes, &err);
-   return j->scratch ? 0 : say_error(j->o.mesh, &err);
+   return j->scratch ? 0 : ex_say_error(j->o.mesh, &err);
 }
 
 static int name_joints(job *j)
@@ -262,9 +229,9 @@ static int name_joints(job *j)
    if (list && strcmp(list, "smpl") == 0) list = joints_smpl;
    if (list && strcmp(list, "mixamo") == 0) list = joints_mixamo;
    size = (list ? strlen(list) : 0) + 24 * n + 1;
-   j->names = (const char **)take(n, sizeof *j->names);
-   j->name_text = at = (char *)take(size, 1);
-   if (!j->names || !at) return say("out of memory");
+   j->names = (const char **)ex_take(n, sizeof *j->names);
+   j->name_text = at = (char *)ex_take(size, 1);
+   if (!j->names || !at) return ex_say("out of memory");
    if (!list) {
       for (s = 0; s < n; s++) {
          if (j->view.joint_names) j->names[s] = j->view.joint_names[s];
@@ -279,16 +246,16 @@ static int name_joints(job *j)
       if (s < n) j->names[s] = at;
       at = comma ? comma + 1 : NULL;
    }
-   return s == n ? 0 : say("--joints: %lu names, the model has %lu joints", (unsigned long)s, (unsigned long)n);
+   return s == n ? 0 : ex_say("--joints: %lu names, the model has %lu joints", (unsigned long)s, (unsigned long)n);
 }
 
 /* the file's normals, or smooth ones over welded vertices */
 static int make_normals(job *j)
 {
    size_t n = j->view.nodes, i;
-   float *node = (float *)take(n, 3 * sizeof(float));
-   uint32_t *triangle = (uint32_t *)take(j->mesh->triangles, 3 * sizeof *triangle);
-   j->normals = (float *)take(j->mesh->vertices, 3 * sizeof(float));
+   float *node = (float *)ex_take(n, 3 * sizeof(float));
+   uint32_t *triangle = (uint32_t *)ex_take(j->mesh->triangles, 3 * sizeof *triangle);
+   j->normals = (float *)ex_take(j->mesh->vertices, 3 * sizeof(float));
    if (node && triangle && j->normals) {
       if (j->mesh->normals) memcpy(j->normals, j->mesh->normals, j->mesh->vertices * 3 * sizeof(float));
       else {
@@ -300,7 +267,7 @@ static int make_normals(job *j)
    i = node && triangle && j->normals;
    free(node);
    free(triangle);
-   return i ? 0 : say("out of memory");
+   return i ? 0 : ex_say("out of memory");
 }
 
 /* ===================================================================================== >>skin */
@@ -309,12 +276,12 @@ static int make_skin(job *j)
    size_t s = j->view.joints, v, k, a, wide = j->o.influences ? j->o.influences : (s + 3) / 4 * 4;
    double sum_kept = 0;
    if (wide > (s + 3) / 4 * 4) wide = (s + 3) / 4 * 4;
-   if (wide > 60) return say("--influences all: glTF's readers do not take %lu", (unsigned long)wide);
+   if (wide > 60) return ex_say("--influences all: glTF's readers do not take %lu", (unsigned long)wide);
    j->influences = wide;
    j->kept_least = 1;
-   j->skin_joints = (uint32_t *)take(j->mesh->vertices, wide * sizeof *j->skin_joints);
-   j->skin_weights = (float *)take(j->mesh->vertices, wide * sizeof *j->skin_weights);
-   if (!j->skin_joints || !j->skin_weights) return say("out of memory");
+   j->skin_joints = (uint32_t *)ex_take(j->mesh->vertices, wide * sizeof *j->skin_joints);
+   j->skin_weights = (float *)ex_take(j->mesh->vertices, wide * sizeof *j->skin_weights);
+   if (!j->skin_joints || !j->skin_weights) return ex_say("out of memory");
    for (v = 0; v < j->mesh->vertices; v++) {
       const float *w = j->view.skin_weight + s * j->view.node_of_vertex[v];
       uint32_t *joint = j->skin_joints + v * wide;
@@ -365,17 +332,17 @@ static void compare(job *j, const float *palette, const float *displacement, con
 static int run_frames(job *j, dn_error *err)
 {
    size_t s = j->view.joints, frames = j->turns ? j->turns->frames : 0, v = j->mesh->vertices, f, i, k;
-   float *block = (float *)take(v, 6 * sizeof(float)), *palette = (float *)take(s, 12 * sizeof(float));
+   float *block = (float *)ex_take(v, 6 * sizeof(float)), *palette = (float *)ex_take(s, 12 * sizeof(float));
    const float zero[3] = {0, 0, 0};
    int bad = 1;
    dn_blend_input in;
    dn_blend_output out;
-   j->alpha = (float *)take(frames + 1, j->coefficients * sizeof *j->alpha);
-   j->quaternions = (float *)take(frames, s * 4 * sizeof *j->quaternions);
-   j->travel = (float *)take(frames, 3 * sizeof *j->travel);
-   j->ms = (double *)take(frames, sizeof *j->ms);
+   j->alpha = (float *)ex_take(frames + 1, j->coefficients * sizeof *j->alpha);
+   j->quaternions = (float *)ex_take(frames, s * 4 * sizeof *j->quaternions);
+   j->travel = (float *)ex_take(frames, 3 * sizeof *j->travel);
+   j->ms = (double *)ex_take(frames, sizeof *j->ms);
    if (!block || !palette || !j->alpha || !j->quaternions || !j->travel || !j->ms) {
-      say("out of memory");
+      ex_say("out of memory");
       goto end;
    }
    memset(&in, 0, sizeof in);
@@ -388,9 +355,9 @@ static int run_frames(job *j, dn_error *err)
       double t0, sum = 0;
       in.rotations = j->turns->rotations + 9 * f * s;
       out.coefficients = j->alpha + (f + 1) * j->coefficients;
-      t0 = now_ms();
+      t0 = ex_now_ms();
       if (dn_blend_pose(j->blend, &in, &out, j->scratch, j->scratch_bytes, &j->parallel, err) != DN_OK) goto failed;
-      j->ms[f] = now_ms() - t0;
+      j->ms[f] = ex_now_ms() - t0;
       out.displacement = block + 3 * v; /* once more for the report, not timed */
       out.palette = palette;
       dn_blend_pose(j->blend, &in, &out, j->scratch, j->scratch_bytes, &j->parallel, NULL);
@@ -414,7 +381,7 @@ static int run_frames(job *j, dn_error *err)
    bad = 0;
    goto end;
 failed:
-   say_error(j->turns ? j->o.motion : j->o.model, err);
+   ex_say_error(j->turns ? j->o.motion : j->o.model, err);
 end:
    free(block);
    free(palette);
@@ -445,16 +412,16 @@ static float weight_of(const job *j, size_t target, size_t frame) /* 0: the rest
 static int make_targets(job *j)
 {
    size_t V = j->mesh->vertices, B = j->view.shapes, c, v, k, total = 0, kept = 0, room = 2 * j->coefficients, frames = j->turns ? j->turns->frames : 0;
-   size_t *moves = (size_t *)take(j->coefficients, sizeof *moves), name_size = 0;
-   float *row = (float *)take(V, 3 * sizeof *row), *offset;
+   size_t *moves = (size_t *)ex_take(j->coefficients, sizeof *moves), name_size = 0;
+   float *row = (float *)ex_take(V, 3 * sizeof *row), *offset;
    uint32_t *list;
    char *name;
    int bad = 1;
    for (c = 1; c < j->view.joints; c++) name_size += 2 * B * (strlen(j->names[c]) + 24);
-   j->target = (ex_target *)take(room, sizeof *j->target);
-   j->target_of = (size_t *)take(room, sizeof *j->target_of);
-   j->target_scale = (float *)take(room, sizeof *j->target_scale);
-   j->target_names = name = (char *)take(name_size + 1, 1);
+   j->target = (ex_target *)ex_take(room, sizeof *j->target);
+   j->target_of = (size_t *)ex_take(room, sizeof *j->target_of);
+   j->target_scale = (float *)ex_take(room, sizeof *j->target_scale);
+   j->target_names = name = (char *)ex_take(name_size + 1, 1);
    if (!moves || !row || !j->target || !j->target_of || !j->target_scale || !name) goto memory;
    for (c = 0; c < j->coefficients; c++) {
       float lo, hi;
@@ -464,8 +431,8 @@ static int make_targets(job *j)
       total += moves[c] * (!j->o.is_signed && lo < 0 && hi > 0 ? 2 : 1);
       kept += moves[c];
    }
-   j->offsets = offset = (float *)take(total, 3 * sizeof *offset);
-   j->lists = list = (uint32_t *)take(kept, sizeof *list);
+   j->offsets = offset = (float *)ex_take(total, 3 * sizeof *offset);
+   j->lists = list = (uint32_t *)ex_take(kept, sizeof *list);
    if (!offset || !list) goto memory;
    for (c = 0; c < j->coefficients; c++) {
       const uint32_t *mine = list;
@@ -497,14 +464,14 @@ static int make_targets(job *j)
          t->rest = weight_of(j, j->targets++, 0);
       }
    }
-   j->weights = (float *)take(frames, j->targets * sizeof *j->weights);
+   j->weights = (float *)ex_take(frames, j->targets * sizeof *j->weights);
    if (!j->weights) goto memory;
    for (v = 0; v < frames; v++) for (c = 0; c < j->targets; c++) j->weights[v * j->targets + c] = weight_of(j, c, v + 1);
    bad = 0;
 memory:
    free(moves);
    free(row);
-   return bad ? say("out of memory") : 0;
+   return bad ? ex_say("out of memory") : 0;
 }
 
 /* ===================================================================================== >>results */
@@ -538,13 +505,13 @@ static int write_character(job *j)
       r.travel = j->travel;
       r.weights = j->weights;
    }
-   return ex_write_rig(j->o.out, &r, &j->bytes, error) ? 0 : say("%s", error);
+   return ex_write_rig(j->o.out, &r, &j->bytes, error) ? 0 : ex_say("%s", error);
 }
 
 static int write_picture(job *j)
 {
    size_t v = j->mesh->vertices, i, k;
-   float *block = (float *)take(v, 16 * sizeof(float)), *at[4], *value;
+   float *block = (float *)ex_take(v, 16 * sizeof(float)), *at[4], *value;
    const float zero[3] = {0, 0, 0};
    const char *why = "out of memory";
    char title[160], caption[96];
@@ -552,7 +519,7 @@ static int write_picture(job *j)
    ex_shape shape[2];
    dn_blend_input in;
    dn_blend_output out;
-   if (!block) return say("%s: %s", j->o.picture, why);
+   if (!block) return ex_say("%s: %s", j->o.picture, why);
    for (i = 0; i < 4; i++) at[i] = block + 3 * v * i;
    value = block + 12 * v;
    memset(&c, 0, sizeof c);
@@ -590,7 +557,7 @@ static int write_picture(job *j)
    c.looked_at = 1;
    why = ex_compare(j->o.picture, &c);
    free(block);
-   return why ? say("%s: %s", j->o.picture, why) : 0;
+   return why ? ex_say("%s: %s", j->o.picture, why) : 0;
 }
 
 static void print_report(job *j)
@@ -614,10 +581,9 @@ static void print_report(job *j)
    if (j->both_signs) printf("; %zu are there twice, once for each sign", j->both_signs);
    printf("\n");
    if (frames) {
-      qsort(j->ms, frames, sizeof *j->ms, by_double);
       printf("motion      %s: %zu frames, %zu of %zu joints moved", j->turns->name, frames, j->turns->matched, j->view.joints);
       if (j->turns->bridged) printf(", %zu bones brought from another rest pose", j->turns->bridged);
-      printf("\nper frame   %.3f ms: coefficients, shapes and skinning (median)\n", j->ms[frames / 2]);
+      printf("\nper frame   %.3f ms: coefficients, shapes and skinning (median)\n", ex_median(j->ms, frames));
       printf("shapes      move the vertices by %.3f cm on average, %.2f cm at most\n", 100 * j->moved_mean, 100 * j->moved_max);
       printf("file        what it shows differs from deformnet.h by %.4f cm on average, %.3f cm at most\n", 100 * j->apart_mean, 100 * j->apart_max);
    }
@@ -633,11 +599,11 @@ static int run(job *j, int argc, char **argv)
    memset(&err, 0, sizeof err);
    if (read_options(&j->o, argc, argv)) return 1;
    j->mesh = ex_mesh_load(j->o.mesh, error);
-   if (!j->mesh) return say("%s", error);
+   if (!j->mesh) return ex_say("%s", error);
    j->model = dn_model_load_file(j->o.model, NULL, &err);
-   if (!j->model) return say_error(j->o.model, &err);
+   if (!j->model) return ex_say_error(j->o.model, &err);
    dn_model_describe(j->model, &j->info);
-   if (j->o.threads > 1 && !(j->pool = ex_pool_create(j->o.threads))) return say("cannot start %u threads", j->o.threads);
+   if (j->o.threads > 1 && !(j->pool = ex_pool_create(j->o.threads))) return ex_say("cannot start %u threads", j->o.threads);
    j->parallel = ex_pool_parallel(j->pool);
    if (bind(j) || name_joints(j) || make_normals(j) || make_skin(j)) return 1;
    if (j->o.motion) {
@@ -647,7 +613,7 @@ static int run(job *j, int argc, char **argv)
       s.parents = j->view.parents;
       s.rest = j->joint_rest;
       j->turns = ex_turns_load(j->o.motion, j->o.animation, &s, error);
-      if (!j->turns) return say("%s", error);
+      if (!j->turns) return ex_say("%s", error);
    }
    if (j->o.is_signed < 0) j->o.is_signed = j->turns == NULL;
    if (run_frames(j, &err) || make_targets(j) || write_character(j)) return 1;
@@ -660,6 +626,7 @@ int main(int argc, char **argv)
 {
    job j;
    int code;
+   ex_program("rig");
    memset(&j, 0, sizeof j);
    code = run(&j, argc, argv);
    free(j.seen), free(j.name_text), free(j.names), free(j.joint_rest), free(j.normals), free(j.skin_joints), free(j.skin_weights);

@@ -15,15 +15,13 @@
 #include "common/picture.h"
 #include "common/pool.h"
 #include "common/scene.h"
+#include "common/tool.h"
 #include <errno.h>
 #include <limits.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
-#include <unistd.h>
 
 /* ===================================================================================== >>small things */
 static const char usage[] =
@@ -41,35 +39,6 @@ static const char usage[] =
    "  --body-model  a model that refines the body's own skinning\n"
    "  --out         .obj: the first shape and pose; .glb: the first shape in every pose, as an animation\n";
 
-static int say(const char *format, ...) /* one line to stderr; returns the exit code of a failure */
-{
-   va_list list;
-   fputs("wardrobe: ", stderr);
-   va_start(list, format);
-   vfprintf(stderr, format, list);
-   va_end(list);
-   fputc('\n', stderr);
-   return 1;
-}
-static int say_error(const char *file, const dn_error *e)
-{
-   return say("%s: %s: %s (%s)", file, e->where ? e->where : "deformnet", dn_result_text(e->code), e->info);
-}
-static void *take(size_t count, size_t size) /* zero-filled; NULL when it does not fit */
-{
-   return size && count > SIZE_MAX / size ? NULL : calloc(count ? count : 1, size ? size : 1);
-}
-static double now_ms(void)
-{
-   struct timespec t;
-   clock_gettime(CLOCK_MONOTONIC, &t);
-   return (double)t.tv_sec * 1e3 + (double)t.tv_nsec * 1e-6;
-}
-static int ends_with(const char *s, const char *end)
-{
-   size_t n = strlen(s), m = strlen(end);
-   return n >= m && strcmp(s + n - m, end) == 0;
-}
 static const char *file_name(const char *path)
 {
    const char *slash = strrchr(path, '/');
@@ -107,8 +76,8 @@ static int read_garment(options *o, const char *value)
 {
    garment_option *g = &o->garment[o->garments];
    char *colon, *rest;
-   if (o->garments == MAX_GARMENTS) return say("--garment: at most %d", MAX_GARMENTS);
-   if (!(g->path = (char *)take(strlen(value) + 1, 1))) return say("out of memory");
+   if (o->garments == MAX_GARMENTS) return ex_say("--garment: at most %d", MAX_GARMENTS);
+   if (!(g->path = (char *)ex_take(strlen(value) + 1, 1))) return ex_say("out of memory");
    strcpy(g->path, value);
    o->garments++;
    colon = strstr(g->path, ".safetensors:");
@@ -121,9 +90,9 @@ static int read_garment(options *o, const char *value)
       char *number = rest + 1;
       g->margin = strtof(number, &rest);
       g->has_margin = rest != number;
-      if (!g->has_margin) return say("--garment %s: expected FILE:looseness:margin", value);
+      if (!g->has_margin) return ex_say("--garment %s: expected FILE:looseness:margin", value);
    }
-   return *rest || !g->has_looseness ? say("--garment %s: expected FILE:looseness:margin", value) : 0;
+   return *rest || !g->has_looseness ? ex_say("--garment %s: expected FILE:looseness:margin", value) : 0;
 }
 static int read_options(options *o, int argc, char **argv)
 {
@@ -147,47 +116,44 @@ static int read_options(options *o, int argc, char **argv)
          fputs(usage, stdout);
          exit(0);
       }
-      if (!value) return say(text ? "%s needs a value" : "unknown argument \"%s\" (--help lists them)", key);
+      if (!value) return ex_say(text ? "%s needs a value" : "unknown argument \"%s\" (--help lists them)", key);
       i++;
       if (text) *text = value;
       else if (strcmp(key, "--garment") == 0) {
          if (read_garment(o, value)) return 1;
       } else if (strcmp(key, "--shape") == 0) {
          if (o->shapes == MAX_SHAPES || (o->betas[o->shapes] = read_floats(value, o->beta[o->shapes], MAX_BETA)) < 0)
-            return say("--shape %s: expected numbers, comma separated; at most %d shapes", value, MAX_SHAPES);
+            return ex_say("--shape %s: expected numbers, comma separated; at most %d shapes", value, MAX_SHAPES);
          o->shapes++;
       } else if (strcmp(key, "--pose") == 0) {
-         if (o->poses == MAX_POSES) return say("--pose: at most %d", MAX_POSES);
+         if (o->poses == MAX_POSES) return ex_say("--pose: at most %d", MAX_POSES);
          o->pose[o->poses++] = value;
       } else if (strcmp(key, "--alpha") == 0) {
-         if ((o->alphas = read_floats(value, o->alpha, MAX_ALPHA)) < 0) return say("--alpha %s: expected numbers, comma separated", value);
+         if ((o->alphas = read_floats(value, o->alpha, MAX_ALPHA)) < 0) return ex_say("--alpha %s: expected numbers, comma separated", value);
       } else if (strcmp(key, "--looseness") == 0) {
-         if (read_floats(value, &o->looseness, 1) != 1) return say("--looseness %s: expected metres", value);
+         if (read_floats(value, &o->looseness, 1) != 1) return ex_say("--looseness %s: expected metres", value);
       } else if (strcmp(key, "--margin") == 0) {
-         if (read_floats(value, &o->margin, 1) != 1 || o->margin < 0) return say("--margin %s: expected metres, at least 0", value);
+         if (read_floats(value, &o->margin, 1) != 1 || o->margin < 0) return ex_say("--margin %s: expected metres, at least 0", value);
       } else if (strcmp(key, "--threads") == 0) {
          char *rest;
          long n = strtol(value, &rest, 10);
-         if (*rest || n < 1 || n > 256) return say("--threads %s: expected 1 to 256", value);
+         if (*rest || n < 1 || n > 256) return ex_say("--threads %s: expected 1 to 256", value);
          o->threads = (unsigned)n;
       } else if (strcmp(key, "--frames") == 0) {
          char *at = (char *)(uintptr_t)value;
          if (*at != ':') o->first = strtol(at, &at, 10);
-         if (*at++ != ':') return say("--frames %s: expected a:b or a:b:step", value);
+         if (*at++ != ':') return ex_say("--frames %s: expected a:b or a:b:step", value);
          if (*at && *at != ':') o->end = strtol(at, &at, 10);
          if (*at == ':') o->step = strtol(at + 1, &at, 10);
-         if (*at || o->first < 0 || o->end <= o->first || o->step < 1) return say("--frames %s: expected a:b or a:b:step, a < b", value);
-      } else return say("unknown argument \"%s\" (--help lists them)", key);
+         if (*at || o->first < 0 || o->end <= o->first || o->step < 1) return ex_say("--frames %s: expected a:b or a:b:step, a < b", value);
+      } else return ex_say("unknown argument \"%s\" (--help lists them)", key);
    }
-   if (!o->body) return say("--body is needed (--help explains)");
-   if (o->motion && o->poses) return say("--motion or --pose, not both");
-   if (o->out && !ends_with(o->out, ".obj") && !ends_with(o->out, ".glb")) return say("--out %s: expected a name ending in .obj or .glb", o->out);
+   if (!o->body) return ex_say("--body is needed (--help explains)");
+   if (o->motion && o->poses) return ex_say("--motion or --pose, not both");
+   if (o->out && !ex_ends_with(o->out, ".obj") && !ex_ends_with(o->out, ".glb")) return ex_say("--out %s: expected a name ending in .obj or .glb", o->out);
    if (!o->shapes) o->shapes = 1;
    if (!o->poses && !o->motion) o->pose[o->poses++] = "rest";
-   if (!o->threads) {
-      long n = sysconf(_SC_NPROCESSORS_ONLN);
-      o->threads = n < 1 ? 1 : n > 8 ? 8 : (unsigned)n;
-   }
+   if (!o->threads) o->threads = ex_processors();
    return 0;
 }
 
@@ -305,9 +271,9 @@ static int make_stance(const dn_shape_view *b, stance *p, const char *text)
 {
    size_t s;
    const char *at;
-   p->rotations = (float *)take(b->joints, 9 * sizeof(float));
-   p->theta = (float *)take(b->joints, 3 * sizeof(float));
-   if (!p->rotations || !p->theta) return say("out of memory");
+   p->rotations = (float *)ex_take(b->joints, 9 * sizeof(float));
+   p->theta = (float *)ex_take(b->joints, 3 * sizeof(float));
+   if (!p->rotations || !p->theta) return ex_say("out of memory");
    snprintf(p->title, sizeof p->title, "%s", text);
    for (s = 0; s < b->joints; s++) p->rotations[9 * s] = p->rotations[9 * s + 4] = p->rotations[9 * s + 8] = 1;
    if (strchr(text, '=')) {
@@ -316,21 +282,21 @@ static int make_stance(const dn_shape_view *b, stance *p, const char *text)
          char number[64], name[64];
          float a[3];
          if (!end) end = at + strlen(at);
-         if (!equal || equal > end || (size_t)(end - equal) > sizeof number || (size_t)(equal - at) >= sizeof name) return say("--pose %s: expected JOINT=x,y,z;..", text);
+         if (!equal || equal > end || (size_t)(end - equal) > sizeof number || (size_t)(equal - at) >= sizeof name) return ex_say("--pose %s: expected JOINT=x,y,z;..", text);
          snprintf(number, sizeof number, "%.*s", (int)(end - equal - 1), equal + 1);
          snprintf(name, sizeof name, "%.*s", (int)(equal - at), at);
-         if (read_floats(number, a, 3) != 3) return say("--pose %s: expected three angles in degrees for %s", text, name);
-         if (find_joint(b, name, strlen(name)) < 0) return say("--pose %s: the body has no joint \"%s\"", text, name);
+         if (read_floats(number, a, 3) != 3) return ex_say("--pose %s: expected three angles in degrees for %s", text, name);
+         if (find_joint(b, name, strlen(name)) < 0) return ex_say("--pose %s: the body has no joint \"%s\"", text, name);
          turn(b, p, name, a[0], a[1], a[2]);
          at = *end ? end + 1 : end;
       }
       p->grounded = 1;
    } else if (named_pose(b, p, text) != 0) {
-      float *a = (float *)take(3 * b->joints, sizeof(float));
+      float *a = (float *)ex_take(3 * b->joints, sizeof(float));
       int n = a ? read_floats(text, a, (int)(3 * b->joints)) : -1;
       if (n != (int)(3 * b->joints)) {
          free(a);
-         return say("--pose %.80s: not a pose by name, nor %zu numbers, nor JOINT=x,y,z (--help)", text, 3 * b->joints);
+         return ex_say("--pose %.80s: not a pose by name, nor %zu numbers, nor JOINT=x,y,z (--help)", text, 3 * b->joints);
       }
       for (s = 0; s < b->joints; s++) dn_rodrigues(a + 3 * s, p->rotations + 9 * s);
       free(a);
@@ -349,7 +315,7 @@ static int motion_stances(const options *o, const dn_shape *body, const dn_shape
    size_t s, f, n = 0;
    int bad;
    (void)body;
-   if (!b->joint_names) return say("%s: the body names no joints, so no motion can be matched", o->body);
+   if (!b->joint_names) return ex_say("%s: the body names no joints, so no motion can be matched", o->body);
    memset(&scene, 0, sizeof scene);
    scene.path = (char *)(uintptr_t)o->body;
    scene.vertices = b->vertices, scene.triangles = b->triangles, scene.joints = b->joints, scene.influences = b->influences;
@@ -357,9 +323,9 @@ static int motion_stances(const options *o, const dn_shape *body, const dn_shape
    scene.skin_joints = (uint32_t *)(uintptr_t)b->skin_joint, scene.skin_weights = (float *)(uintptr_t)b->skin_weight;
    scene.names = (char **)(uintptr_t)b->joint_names, scene.parents = (int32_t *)(uintptr_t)b->parents;
    scene.joint_rest = (float *)(uintptr_t)b->joint_rest;
-   scene.rest = (float *)take(b->joints, 10 * sizeof(float));
-   scene.above = (float *)take(b->joints, 12 * sizeof(float));
-   scene.inverse_bind = (float *)take(b->joints, 12 * sizeof(float));
+   scene.rest = (float *)ex_take(b->joints, 10 * sizeof(float));
+   scene.above = (float *)ex_take(b->joints, 12 * sizeof(float));
+   scene.inverse_bind = (float *)ex_take(b->joints, 12 * sizeof(float));
    bad = !scene.rest || !scene.above || !scene.inverse_bind;
    for (s = 0; !bad && s < b->joints; s++) {
       int k, parent = (int)b->parents[s];
@@ -372,11 +338,11 @@ static int motion_stances(const options *o, const dn_shape *body, const dn_shape
       scene.rest[10 * s + 6] = 1;
    }
    m = bad ? NULL : ex_motion_load(o->motion, o->animation, &scene, error);
-   if (!m || !m->local) bad = m ? say("%s: the motion has palettes, expected joint rotations", o->motion) : bad ? say("out of memory") : say("%s", error);
+   if (!m || !m->local) bad = m ? ex_say("%s: the motion has palettes, expected joint rotations", o->motion) : bad ? ex_say("out of memory") : ex_say("%s", error);
    if (!bad) {
       for (f = (size_t)o->first; f < m->frames && f < (size_t)o->end; f += (size_t)o->step) n++;
-      if (!n) bad = say("--frames: no frame in that range; there are %zu", m->frames);
-      else if (!(*out = (stance *)take(n, sizeof **out))) bad = say("out of memory");
+      if (!n) bad = ex_say("--frames: no frame in that range; there are %zu", m->frames);
+      else if (!(*out = (stance *)ex_take(n, sizeof **out))) bad = ex_say("out of memory");
    }
    for (f = (size_t)o->first; !bad && *count < n; f += (size_t)o->step) {
       stance *p = *out + (*count)++;
@@ -424,7 +390,7 @@ static int load_model(const char *path, dn_model **model)
    dn_error e;
    if (!path) return 0;
    *model = dn_model_load_file(path, NULL, &e);
-   return *model ? 0 : say_error(path, &e);
+   return *model ? 0 : ex_say_error(path, &e);
 }
 static int open_all(job *j)
 {
@@ -438,13 +404,13 @@ static int open_all(job *j)
    j->meshes = 1 + (size_t)j->o.garments;
    for (i = 0; i < j->meshes; i++) {
       const char *path = i ? j->o.garment[i - 1].path : j->o.body;
-      if (!(j->shape[i] = dn_shape_load_file(path, NULL, &e))) return say_error(path, &e);
+      if (!(j->shape[i] = dn_shape_load_file(path, NULL, &e))) return ex_say_error(path, &e);
       dn_shape_describe(j->shape[i], &j->view[i]);
       j->all_vertices += j->view[i].vertices, j->all_triangles += j->view[i].triangles;
    }
    if (load_model(j->o.coarse, &j->coarse) || load_model(j->o.refine, &j->refine) || load_model(j->o.body_model, &j->body_model)) return 1;
    for (k = 0; k < (size_t)j->o.shapes; k++)
-      if (j->o.betas[k] > (int)j->view[0].coefficients) return say("--shape: %d coefficients, the body has %zu", j->o.betas[k], j->view[0].coefficients);
+      if (j->o.betas[k] > (int)j->view[0].coefficients) return ex_say("--shape: %d coefficients, the body has %zu", j->o.betas[k], j->view[0].coefficients);
    for (i = 0; i < (size_t)j->o.garments; i++) {
       const garment_option *g = &j->o.garment[i];
       garment[i].shape = j->shape[i + 1];
@@ -461,20 +427,20 @@ static int open_all(job *j)
    d.beta = j->o.beta[0], d.betas = (size_t)j->o.betas[0];
    d.garment = garment, d.garments = (size_t)j->o.garments;
    d.parallel = &j->parallel;
-   start = now_ms();
-   if (!(j->dressed = dn_dressed_create(&d, NULL, &e))) return say_error(j->o.body, &e);
+   start = ex_now_ms();
+   if (!(j->dressed = dn_dressed_create(&d, NULL, &e))) return ex_say_error(j->o.body, &e);
    printf("body: %zu vertices, %zu triangles, %zu joints, %zu coefficients; dressed in %.1f ms\n", j->view[0].vertices, j->view[0].triangles,
-          j->view[0].joints, j->view[0].coefficients, now_ms() - start);
+          j->view[0].joints, j->view[0].coefficients, ex_now_ms() - start);
    j->scratch_bytes = dn_dressed_scratch_size(j->dressed, j->parallel.workers);
    j->change_bytes = dn_dressed_change_size(j->dressed, j->parallel.workers);
-   j->block = take(j->scratch_bytes + 63, 1), j->change_block = take(j->change_bytes + 63, 1);
-   if (!j->block || !j->change_block) return say("out of memory");
+   j->block = ex_take(j->scratch_bytes + 63, 1), j->change_block = ex_take(j->change_bytes + 63, 1);
+   if (!j->block || !j->change_block) return ex_say("out of memory");
    j->scratch = (void *)(((uintptr_t)j->block + 63) & ~(uintptr_t)63);
    j->change = (void *)(((uintptr_t)j->change_block + 63) & ~(uintptr_t)63);
    if (j->o.motion) {
       if (motion_stances(&j->o, j->shape[0], &j->view[0], &j->stances, &j->stance_count)) return 1;
    } else {
-      if (!(j->stances = (stance *)take((size_t)j->o.poses, sizeof *j->stances))) return say("out of memory");
+      if (!(j->stances = (stance *)ex_take((size_t)j->o.poses, sizeof *j->stances))) return ex_say("out of memory");
       for (; j->stance_count < (size_t)j->o.poses; j->stance_count++) {
          if (make_stance(&j->view[0], &j->stances[j->stance_count], j->o.pose[j->stance_count])) {
             j->stance_count++;
@@ -485,10 +451,10 @@ static int open_all(job *j)
    }
    if (j->o.out) {
       uint32_t from = 0;
-      if (j->all_vertices > UINT32_MAX / 2) return say("too many vertices");
-      j->all = (float *)take(j->stance_count * j->all_vertices, 12), j->all_normals = (float *)take(j->stance_count * j->all_vertices, 12);
-      j->all_triangle = (uint32_t *)take(j->all_triangles, 12), j->times = (float *)take(j->stance_count, sizeof(float));
-      if (!j->all || !j->all_normals || !j->all_triangle || !j->times) return say("out of memory");
+      if (j->all_vertices > UINT32_MAX / 2) return ex_say("too many vertices");
+      j->all = (float *)ex_take(j->stance_count * j->all_vertices, 12), j->all_normals = (float *)ex_take(j->stance_count * j->all_vertices, 12);
+      j->all_triangle = (uint32_t *)ex_take(j->all_triangles, 12), j->times = (float *)ex_take(j->stance_count, sizeof(float));
+      if (!j->all || !j->all_normals || !j->all_triangle || !j->times) return ex_say("out of memory");
       for (i = 0; i < j->meshes; from += (uint32_t)j->view[i++].vertices)
          for (k = 0; k < 3 * j->view[i].triangles; k++) j->all_triangle[n++] = j->view[i].triangle[k] + from;
    }
@@ -514,8 +480,8 @@ static int run_frame(job *j, size_t s, size_t f, double *ms, dn_collision *worst
    for (i = 0; i < j->meshes; i++) {
       size_t bytes = j->view[i].vertices;
       if (shown) {
-         positions[i] = (float *)take(bytes, 12), j->normals[s * MAX_POSES + f][i] = (float *)take(bytes, 12);
-         if (!positions[i] || !j->normals[s * MAX_POSES + f][i]) return say("out of memory");
+         positions[i] = (float *)ex_take(bytes, 12), j->normals[s * MAX_POSES + f][i] = (float *)ex_take(bytes, 12);
+         if (!positions[i] || !j->normals[s * MAX_POSES + f][i]) return ex_say("out of memory");
          mesh[i].positions = positions[i], mesh[i].normals = j->normals[s * MAX_POSES + f][i];
       } else if (j->o.out && s == 0) {
          mesh[i].positions = j->all + 3 * (f * j->all_vertices + from), mesh[i].normals = j->all_normals + 3 * (f * j->all_vertices + from);
@@ -523,10 +489,10 @@ static int run_frame(job *j, size_t s, size_t f, double *ms, dn_collision *worst
       from += bytes;
    }
    for (pass = 0; pass <= p->grounded; pass++) { /* once to see how low it stands, once more where it should */
-      double start = now_ms();
+      double start = ex_now_ms();
       r = dn_dressed_deform(j->dressed, &pose, &mesh[0], mesh + 1, NULL, j->scratch, j->scratch_bytes, &j->parallel, &e);
-      *ms = now_ms() - start;
-      if (r != DN_OK && r != DN_NOT_FINITE) return say_error(p->title, &e);
+      *ms = ex_now_ms() - start;
+      if (r != DN_OK && r != DN_NOT_FINITE) return ex_say_error(p->title, &e);
       if (r == DN_NOT_FINITE) printf("  %s: %s\n", p->title, e.info);
       if (pass == 0 && p->grounded) {
          float low = 1e30f;
@@ -552,7 +518,7 @@ static int write_obj(const job *j)
    FILE *f = fopen(j->o.out, "w");
    size_t i, k, from = 0;
    int bad;
-   if (!f) return say("%s: %s", j->o.out, strerror(errno));
+   if (!f) return ex_say("%s: %s", j->o.out, strerror(errno));
    for (i = 0; i < j->meshes; i++) {
       fprintf(f, "o %s\n", file_name(i ? j->o.garment[i - 1].path : j->o.body));
       for (k = from; k < from + j->view[i].vertices; k++)
@@ -568,7 +534,7 @@ static int write_obj(const job *j)
    bad = ferror(f);
    bad |= fclose(f) != 0;
    if (bad) remove(j->o.out);
-   return bad ? say("%s: cannot be written", j->o.out) : 0;
+   return bad ? ex_say("%s: cannot be written", j->o.out) : 0;
 }
 static int write_glb(const job *j)
 {
@@ -580,14 +546,14 @@ static int write_glb(const job *j)
    b.name = "dressed";
    b.vertices = j->all_vertices, b.triangles = j->all_triangles, b.frames = j->stance_count;
    b.triangle = j->all_triangle, b.positions = j->all, b.normals = j->all_normals, b.times = j->times;
-   return ex_write_glb(j->o.out, &b, error) ? 0 : say("%s", error);
+   return ex_write_glb(j->o.out, &b, error) ? 0 : ex_say("%s", error);
 }
 static int write_picture(const job *j)
 {
    size_t rows = (size_t)j->o.shapes, columns = j->stance_count < MAX_POSES ? j->stance_count : MAX_POSES, s, f, i;
-   ex_panel *panel = (ex_panel *)take(rows * columns, sizeof *panel);
-   ex_part *part = (ex_part *)take(rows * columns * j->meshes, sizeof *part);
-   char (*caption)[64] = (char (*)[64])take(rows, 64);
+   ex_panel *panel = (ex_panel *)ex_take(rows * columns, sizeof *panel);
+   ex_part *part = (ex_part *)ex_take(rows * columns * j->meshes, sizeof *part);
+   char (*caption)[64] = (char (*)[64])ex_take(rows, 64);
    char title[256];
    const char *why = "out of memory";
    size_t used = (size_t)snprintf(title, sizeof title, "body");
@@ -615,7 +581,7 @@ static int write_picture(const job *j)
       why = ex_panels(j->o.picture, title, panel, rows, columns);
    }
    free(panel), free(part), free(caption);
-   return why ? say("%s: %s", j->o.picture, why) : 0;
+   return why ? ex_say("%s: %s", j->o.picture, why) : 0;
 }
 static int run(job *j)
 {
@@ -630,9 +596,9 @@ static int run(job *j)
          dn_error e;
          memset(&c, 0, sizeof c);
          c.beta = j->o.beta[s], c.betas = (size_t)j->o.betas[s], c.parallel = &j->parallel;
-         changed = now_ms();
-         if (dn_dressed_change(j->dressed, &c, j->change, j->change_bytes, &e) != DN_OK) return say_error("--shape", &e);
-         changed = now_ms() - changed;
+         changed = ex_now_ms();
+         if (dn_dressed_change(j->dressed, &c, j->change, j->change_bytes, &e) != DN_OK) return ex_say_error("--shape", &e);
+         changed = ex_now_ms() - changed;
       }
       for (f = 0; f < j->stance_count; f++) {
          if (run_frame(j, s, f, &ms, worst)) return 1;
@@ -646,7 +612,7 @@ static int run(job *j)
                 worst[i].moved, j->view[i].vertices * j->stance_count, worst[i].inside, (double)worst[i].deepest * 1e3, worst[i].squeezed,
                 worst[i].squeezed ? " between two surfaces" : "");
    }
-   if (j->o.out && (ends_with(j->o.out, ".obj") ? write_obj(j) : write_glb(j))) return 1;
+   if (j->o.out && (ex_ends_with(j->o.out, ".obj") ? write_obj(j) : write_glb(j))) return 1;
    if (j->o.picture && write_picture(j)) return 1;
    if (j->o.out) printf("%s\n", j->o.out);
    if (j->o.picture) printf("%s\n", j->o.picture);
@@ -657,6 +623,7 @@ int main(int argc, char **argv)
    static job j; /* the options alone are some kilobytes */
    size_t i, k;
    int bad;
+   ex_program("wardrobe");
    if (argc == 1) {
       fputs(usage, stdout);
       return 1;

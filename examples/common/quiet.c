@@ -1,5 +1,6 @@
 /* quiet.c - see quiet.h */
 #include "quiet.h"
+#include "tool.h"
 #include <dirent.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -17,13 +18,6 @@ struct ex_quiet {
    double start, busy, own, waited; /* at ex_quiet_begin, seconds */
    size_t made, counted;
 };
-
-double ex_now_ms(void)
-{
-   struct timespec t;
-   clock_gettime(CLOCK_MONOTONIC, &t);
-   return (double)t.tv_sec * 1e3 + (double)t.tv_nsec * 1e-6;
-}
 
 static double ex_own(void) /* processor seconds of all threads */
 {

@@ -10,8 +10,6 @@
 #define EX_QUIET_H
 #include <stddef.h>
 
-double ex_now_ms(void);
-
 typedef struct ex_quiet ex_quiet;
 /*  start it once all threads run; share: 0.05 lets others have a twentieth of the run's time. NULL: out of memory */
 ex_quiet *ex_quiet_create(double share);

@@ -10,10 +10,10 @@
 #include "../../deformnet.h"
 #include "../common/pool.h"
 #include "../common/tensors.h"
+#include "../common/tool.h"
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 typedef struct bench {
    const char *model_path, *case_path;
@@ -245,12 +245,6 @@ static void write_case(bench *b, const char *path)
    free(rows);
 }
 
-static double now(void) /* milliseconds */
-{
-   struct timespec t;
-   clock_gettime(CLOCK_MONOTONIC, &t);
-   return 1e3 * (double)t.tv_sec + 1e-6 * (double)t.tv_nsec;
-}
 static void serve(bench *b)
 {
    char line[32];
@@ -261,9 +255,9 @@ static void serve(bench *b)
          prepare(b);
          puts("prepared");
       } else if (strcmp(line, "run\n") == 0) {
-         double start = now();
+         double start = ex_now_ms();
          run(b, NULL);
-         printf("%.4f\n", now() - start);
+         printf("%.4f\n", ex_now_ms() - start);
       } else fail("standard input", "expected a line prepare or run");
       fflush(stdout);
    }
