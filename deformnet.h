@@ -19,7 +19,7 @@
 
     SAMPLE     (examples/minimal.c is this, complete)
                dn_error err;
-               dn_model *model = dn_model_load_file("humanoid.safetensors", NULL, &err);
+               dn_model *model = dn_model_load_file("humanoid.safetensors", NULL, NULL, &err);
                dn_rig_desc d = {0};                          // mesh, skin and skeleton: fill in your pointers
                dn_rig *rig = model ? dn_rig_create(model, &d, NULL, NULL, &err) : NULL;
                if (!rig) return puts(err.info);                             // says what was found and expected
@@ -133,6 +133,14 @@ typedef enum dn_matrix { /* how an affine matrix lies in memory; translation is 
    DN_4X4_COLUMNS        /* 16 floats, column-major (glTF, OpenGL): translation at 12, 13, 14 */
 } dn_matrix;
 
+/* Which text runs. Automatic: the fastest one that works here. Layers store the one that packing chose; tests may
+   overwrite it with any available one. */
+typedef enum dn_kernel { DN_KERNEL_AUTO, DN_KERNEL_REF, DN_KERNEL_SSE, DN_KERNEL_AVX2, DN_KERNEL_AVX512, DN_KERNEL_NEON,
+                         DN_KERNEL_WASM, DN_KERNEL_COUNT } dn_kernel;
+DN_API int dn_kernel_available(dn_kernel kernel); /* compiled in, and this processor and system run it; 0 for automatic */
+DN_API const char *dn_kernel_name(dn_kernel kernel); /* "reference", "sse", "avx2", "avx512", "neon", "wasm"; automatic: of
+                                                        the one it chooses; never NULL */
+
 /* ===================================================================================== >>model
    A model is immutable after load and may be shared by any number of threads and rigs. It keeps no pointer
    into the file's bytes. */
@@ -145,6 +153,18 @@ typedef enum dn_arch {
 } dn_arch;
 typedef enum dn_pooling { DN_POOL_DYNAMIC, DN_POOL_REST } dn_pooling;
 typedef enum dn_feature { DN_POSITION, DN_RELATIVE, DN_NORMAL, DN_GEODESIC, DN_DISTANCE, DN_FIT } dn_feature;
+
+/* What weights and rows are made of. The first layers (pre.*) and the last (out) are float32 in all of them. */
+typedef enum dn_precision {
+   DN_PRECISION_F32,
+   DN_PRECISION_COUNT
+} dn_precision;
+DN_API const char *dn_precision_name(dn_precision precision); /* "f32"; "unknown" for others */
+
+typedef struct dn_model_options { /* zero-filled or NULL: float32, the fastest kernel here */
+   dn_precision precision;
+   dn_kernel kernel;              /* of the layers; of skinning too, where dn_rig_desc names none */
+} dn_model_options;
 
 typedef struct dn_model_info { /* strings and arrays belong to the model */
    dn_arch arch;
@@ -162,6 +182,8 @@ typedef struct dn_model_info { /* strings and arrays belong to the model */
    dn_pooling pooling;
    float unit;                      /* metres per unit of the training data; not applied: pass the mesh in its units */
    const char *licence, *trained_on; /* "" when the file has none */
+   dn_precision precision;
+   dn_kernel kernel;                /* the one in use: never DN_KERNEL_AUTO */
    size_t parameters;               /* numbers in the tensors used */
    size_t bytes;                    /* memory the model occupies */
 } dn_model_info;
@@ -169,28 +191,33 @@ typedef struct dn_model_info { /* strings and arrays belong to the model */
 /*  dn_model_load - read a model from memory
 
     file      size bytes of a .safetensors file (spec: networks.md, section 6); not kept, any alignment
+    options   NULL: float32, the fastest kernel here
     allocator NULL for DN_MALLOC; the model remembers it
-    errors    NULL, and *err names the tensor or metadata key, what was found and what was expected
+    errors    NULL, and *err names the tensor, metadata key or option, what was found and what was expected
     memory    at most a small multiple of the file; nothing is allocated before the header is checked
     threads   re-entrant */
-DN_API dn_model *dn_model_load(const void *file, size_t size, const dn_allocator *allocator, dn_error *err);
+DN_API dn_model *dn_model_load(const void *file, size_t size, const dn_model_options *options,
+                               const dn_allocator *allocator, dn_error *err);
 #ifndef DN_NO_STDIO
 /*  the same from a path; DN_IO when the file cannot be opened or read */
-DN_API dn_model *dn_model_load_file(const char *path, const dn_allocator *allocator, dn_error *err);
+DN_API dn_model *dn_model_load_file(const char *path, const dn_model_options *options, const dn_allocator *allocator,
+                                    dn_error *err);
 #endif
 /*  after the last rig that uses it; NULL is allowed; does nothing to a model made by dn_model_init, whose memory is yours */
 DN_API void dn_model_free(dn_model *model);
 
 /*  dn_model_size, dn_model_init - the same without an allocator, from an opened file (dn_tensors_open, >>parts)
 
+    options    the same for both
     bytes      kept by the model; scratch is needed during dn_model_init only; both exact
     memory     both 64-byte aligned; memory must outlive the model, *model lies inside it. The file may go afterwards
     errors     as dn_model_load; DN_TOO_SMALL names both sizes; *model is NULL then
     threads    re-entrant */
 typedef struct dn_tensors dn_tensors;
-DN_API dn_result dn_model_size(const dn_tensors *file, size_t *bytes, size_t *scratch, dn_error *err);
-DN_API dn_result dn_model_init(const dn_tensors *file, void *memory, size_t bytes, void *scratch, size_t scratch_bytes,
-                               dn_model **model, dn_error *err);
+DN_API dn_result dn_model_size(const dn_tensors *file, const dn_model_options *options, size_t *bytes, size_t *scratch,
+                               dn_error *err);
+DN_API dn_result dn_model_init(const dn_tensors *file, const dn_model_options *options, void *memory, size_t bytes,
+                               void *scratch, size_t scratch_bytes, dn_model **model, dn_error *err);
 /*  fills *info; what it points to lives as long as the model. Re-entrant, cannot fail */
 DN_API void dn_model_describe(const dn_model *model, dn_model_info *info);
 
@@ -234,6 +261,7 @@ typedef struct dn_rig_desc {   /* borrowed during bind only */
    dn_mesh mesh;
    dn_skeleton skeleton;
    dn_skinning skinning;       /* what the coarse mesh is; models are trained on one, mostly LBS */
+   dn_kernel kernel;           /* of the skinning; automatic: the model's, or the fastest here */
    float weld_distance;        /* vertices at most this far apart at rest may weld; 0: equal positions */
    unsigned resolution;        /* voxels along the longest side for geodesic distance; 0: 128, at most 512 */
    const float *geodesic;      /* (N,S_model) known distances in node and model joint order, or NULL: compute */
@@ -395,12 +423,6 @@ DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scrat
    Each has a plain *_ref twin, the specification (dn_pool_rescore: dn_pool_scores_ref of the chosen pairs):
    dn_pool_contract equals it, the others stay within 1e-5 + 1e-4 |x| of it. */
 #define DN_PANEL 16
-
-/* Which text runs. Packing a layer stores the fastest one that works here in its `kernel`; tests and benchmarks
-   may overwrite it with any available one. Zero-filled is the reference. */
-typedef enum dn_kernel { DN_KERNEL_REF, DN_KERNEL_SSE, DN_KERNEL_AVX2, DN_KERNEL_AVX512, DN_KERNEL_NEON,
-                         DN_KERNEL_WASM, DN_KERNEL_COUNT } dn_kernel;
-DN_API int dn_kernel_available(dn_kernel kernel); /* compiled in, and this processor and system run it */
 
 typedef enum dn_activation {
    DN_ACT_NONE, DN_ACT_TANH, DN_ACT_RELU, DN_ACT_LEAKYRELU /* slope 0.2 */, DN_ACT_TANHSHRINK /* x - tanh x */,
@@ -613,7 +635,6 @@ DN_API void dn_tensor_floats(const dn_tensor *t, size_t from, size_t count, floa
 DN_API void dn_tensor_ints(const dn_tensor *t, size_t from, size_t count, int32_t *out); /* I32 only */
 
 DN_API const char *dn_result_text(dn_result result); /* the list above; never NULL */
-DN_API const char *dn_kernel_name(void); /* "avx512", "avx2", "sse", "neon", "wasm", "reference": what packing chooses */
 
 
 /* ===================================================================================== >>kit
@@ -4679,13 +4700,19 @@ DN_API int dn_kernel_available(dn_kernel kernel)
 static dn_kernel dn__kernel_best(void) /* the enum lists an architecture's kernels from slow to fast */
 {
    int k = DN_KERNEL_COUNT;
-   while (--k > 0 && !dn_kernel_available((dn_kernel)k)) {}
+   while (--k > DN_KERNEL_REF && !dn_kernel_available((dn_kernel)k)) {}
    return (dn_kernel)k;
 }
-DN_API const char *dn_kernel_name(void)
+DN_API const char *dn_kernel_name(dn_kernel kernel)
 {
-   static const char *const names[] = { "reference", "sse", "avx2", "avx512", "neon", "wasm" };
-   return names[dn__kernel_best()];
+   static const char *const names[] = { "automatic", "reference", "sse", "avx2", "avx512", "neon", "wasm" };
+   if (kernel == DN_KERNEL_AUTO) kernel = dn__kernel_best();
+   return (unsigned)kernel < (unsigned)DN_KERNEL_COUNT ? names[kernel] : "unknown";
+}
+DN_API const char *dn_precision_name(dn_precision precision)
+{
+   static const char *const names[] = { "f32" };
+   return (unsigned)precision < (unsigned)DN_PRECISION_COUNT ? names[precision] : "unknown";
 }
 
 /* y = act(bn(x W^T + b)), rows begin to end - 1, in tiles. A last tile that would stick out is moved back over rows
@@ -5987,6 +6014,8 @@ struct dn_model {
 typedef struct dn__loader {
    const dn_tensors *file;
    dn_error *err;
+   dn_precision precision;
+   dn_kernel kernel;
    dn_result failed;       /* first failure; everything after it does nothing */
    dn__arena memory;       /* the model's */
    dn__arena temp;         /* floats of one layer; reset for each */
@@ -6162,8 +6191,10 @@ static size_t dn__add_linear(dn__loader *l, const char *name, size_t *in, size_t
    if (dn_tensors_find(l->file, full)) bias = dn__floats(l, dn__want(l, full, 1, b->out, 0));
    has_bn = dn__batchnorm(l, name, b->out, &bn);
    memory = dn__take(&l->memory, dn_linear_size(b->in, b->out), 1);
-   if (l->packing && !l->failed)
+   if (l->packing && !l->failed) {
       dn_linear_pack(&b->linear, b->in, b->out, weight, bias, has_bn ? &bn : NULL, act, memory);
+      b->linear.kernel = l->kernel;
+   }
    return b->out;
 }
 /* A GAT block by name: K and F from att_dst, B from self.weight (absent: a plain layer) */
@@ -6204,9 +6235,11 @@ static size_t dn__add_gat(dn__loader *l, const char *name, size_t *in, dn_activa
    if (self) f_self = dn__floats(l, self);
    has_bn = dn__batchnorm(l, name, b->out, &bn);
    memory = dn__take(&l->memory, dn_gat_size(b->in, heads, features, selfs), 1);
-   if (l->packing && !l->failed)
+   if (l->packing && !l->failed) {
       dn_gat_pack(&b->gat, b->in, heads, features, selfs, f_lin, f_dst, f_src, f_self, has_bn ? &bn : NULL, act,
                   memory);
+      b->gat.kernel = l->kernel;
+   }
    return b->out;
 }
 /* The branch's pool, prefix.pool; it starts at the next block */
@@ -6612,9 +6645,34 @@ static size_t dn__copy_dense(dn_model *m) /* dn_dense_run wants a module's block
    m->branch[1].dense = m->dense + m->branch[0].locals;
    return n;
 }
+static void dn__load_options(dn__loader *l, const dn_model_options *options)
+{
+   char line[160];
+   dn__text t = dn__text_of(line, sizeof line);
+   int k, listed = 0;
+   l->precision = options ? options->precision : DN_PRECISION_F32;
+   l->kernel = options ? options->kernel : DN_KERNEL_AUTO;
+   if (l->kernel == DN_KERNEL_AUTO) l->kernel = dn__kernel_best();
+   if (!dn_kernel_available(l->kernel)) {
+      dn__put(&t, ": found ");
+      dn__put(&t, dn_kernel_name(l->kernel));
+      dn__put(&t, ", which does not run here; expected automatic");
+      for (k = DN_KERNEL_REF; k < DN_KERNEL_COUNT; k++)
+         if (dn_kernel_available((dn_kernel)k)) dn__put(&t, ", "), dn__put(&t, dn_kernel_name((dn_kernel)k));
+      dn__load_fail(l, DN_UNSUPPORTED, "options.kernel", line);
+   }
+   if ((unsigned)l->precision >= (unsigned)DN_PRECISION_COUNT) {
+      dn__put(&t, ": found number ");
+      dn__put_size(&t, (size_t)(unsigned)l->precision);
+      dn__put(&t, ", expected ");
+      for (k = 0; k < DN_PRECISION_COUNT; k++)
+         dn__put(&t, listed++ ? ", " : ""), dn__put(&t, dn_precision_name((dn_precision)k));
+      dn__load_fail(l, DN_UNSUPPORTED, "options.precision", line);
+   }
+}
 /* Measure (memory NULL) or pack. On measuring *bytes and *scratch are written. */
-static dn_result dn__load(const dn_tensors *file, void *memory, size_t *bytes, void *scratch, size_t *scratch_bytes,
-                          size_t *blocks, dn_model **model, dn_error *err)
+static dn_result dn__load(const dn_tensors *file, const dn_model_options *options, void *memory, size_t *bytes,
+                          void *scratch, size_t *scratch_bytes, size_t *blocks, dn_model **model, dn_error *err)
 {
    dn__loader l;
    dn_model stand_in;
@@ -6622,6 +6680,8 @@ static dn_result dn__load(const dn_tensors *file, void *memory, size_t *bytes, v
    memset(&stand_in, 0, sizeof stand_in);
    l.file = file;
    l.err = err;
+   dn__load_options(&l, options);
+   if (l.failed) return l.failed;
    l.packing = memory != NULL;
    l.memory = dn__arena_of(memory, memory ? *bytes : SIZE_MAX);
    l.temp = dn__arena_of(scratch, memory ? *scratch_bytes : SIZE_MAX);
@@ -6641,6 +6701,8 @@ static dn_result dn__load(const dn_tensors *file, void *memory, size_t *bytes, v
    {
       dn_model_info *info = &l.model->info;
       const dn__stage *stage = l.model->stage;
+      info->precision = l.precision;
+      info->kernel = l.kernel;
       info->features = stage[0].features;
       info->feature_count = stage[0].feature_count;
       info->row_width = stage[0].row_width;
@@ -6655,20 +6717,21 @@ static dn_result dn__load(const dn_tensors *file, void *memory, size_t *bytes, v
    return DN_OK;
 }
 
-DN_API dn_result dn_model_size(const dn_tensors *file, size_t *bytes, size_t *scratch, dn_error *err)
+DN_API dn_result dn_model_size(const dn_tensors *file, const dn_model_options *options, size_t *bytes, size_t *scratch,
+                               dn_error *err)
 {
    size_t blocks = 0;
    DN_ASSERT(file && bytes && scratch);
-   return dn__load(file, NULL, bytes, NULL, scratch, &blocks, NULL, err);
+   return dn__load(file, options, NULL, bytes, NULL, scratch, &blocks, NULL, err);
 }
-DN_API dn_result dn_model_init(const dn_tensors *file, void *memory, size_t bytes, void *scratch,
-                               size_t scratch_bytes, dn_model **model, dn_error *err)
+DN_API dn_result dn_model_init(const dn_tensors *file, const dn_model_options *options, void *memory, size_t bytes,
+                               void *scratch, size_t scratch_bytes, dn_model **model, dn_error *err)
 {
    size_t need = 0, need_scratch = 0, blocks = 0;
    dn_result r;
    DN_ASSERT(file && memory && scratch && model && ((uintptr_t)memory & 63) == 0 && ((uintptr_t)scratch & 63) == 0);
    *model = NULL;
-   r = dn__load(file, NULL, &need, NULL, &need_scratch, &blocks, NULL, err);
+   r = dn__load(file, options, NULL, &need, NULL, &need_scratch, &blocks, NULL, err);
    if (r) return r;
    if (bytes < need)
       return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_model, SIZE_MAX, "memory: ", bytes, " bytes given, needed ",
@@ -6676,9 +6739,10 @@ DN_API dn_result dn_model_init(const dn_tensors *file, void *memory, size_t byte
    if (scratch_bytes < need_scratch)
       return dn__fail_sizes(err, DN_TOO_SMALL, dn__where_model, SIZE_MAX, "scratch: ", scratch_bytes,
                             " bytes given, needed ", need_scratch, NULL);
-   return dn__load(file, memory, &bytes, scratch, &scratch_bytes, &blocks, model, err);
+   return dn__load(file, options, memory, &bytes, scratch, &scratch_bytes, &blocks, model, err);
 }
-DN_API dn_model *dn_model_load(const void *file, size_t size, const dn_allocator *allocator, dn_error *err)
+DN_API dn_model *dn_model_load(const void *file, size_t size, const dn_model_options *options,
+                               const dn_allocator *allocator, dn_error *err)
 {
    dn_tensors *tensors = NULL;
    dn_model *model = NULL;
@@ -6692,13 +6756,13 @@ DN_API dn_model *dn_model_load(const void *file, size_t size, const dn_allocator
       return NULL;
    }
    if (!dn_tensors_open(file, size, table, table_bytes, &tensors, err) &&
-       !dn_model_size(tensors, &bytes, &scratch_bytes, err)) {
+       !dn_model_size(tensors, options, &bytes, &scratch_bytes, err)) {
       memory = dn__alloc(allocator, bytes);
       scratch = memory ? dn__alloc(allocator, scratch_bytes) : NULL;
       if (!scratch)
          dn__fail_sizes(err, DN_NO_MEMORY, dn__where_model, SIZE_MAX, "model of ", bytes, " bytes and scratch of ",
                         scratch_bytes, " bytes");
-      else dn_model_init(tensors, memory, bytes, scratch, scratch_bytes, &model, err);
+      else dn_model_init(tensors, options, memory, bytes, scratch, scratch_bytes, &model, err);
    }
    dn__release(allocator, scratch, scratch_bytes);
    if (model) {
@@ -6736,7 +6800,8 @@ static void dn__file_fail(dn_error *err, dn_result code, const char *path, const
    dn__put(&t, path);
    dn__fail(err, code, "model file", SIZE_MAX, line);
 }
-DN_API dn_model *dn_model_load_file(const char *path, const dn_allocator *allocator, dn_error *err)
+DN_API dn_model *dn_model_load_file(const char *path, const dn_model_options *options, const dn_allocator *allocator,
+                                    dn_error *err)
 {
    dn_model *model = NULL;
    FILE *f = fopen(path, "rb");
@@ -6748,7 +6813,7 @@ DN_API dn_model *dn_model_load_file(const char *path, const dn_allocator *alloca
    else if (!(bytes = (unsigned char *)dn__alloc(allocator, size)))
       dn__file_fail(err, DN_NO_MEMORY, path, "no memory for the bytes of ");
    else if (fread(bytes, 1, size, f) != size) dn__file_fail(err, DN_IO, path, "cannot read all of ");
-   else model = dn_model_load(bytes, size, allocator, err);
+   else model = dn_model_load(bytes, size, options, allocator, err);
    dn__release(allocator, bytes, size);
    if (f) fclose(f);
    return model;
@@ -7442,6 +7507,8 @@ static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_
    if (desc->resolution > 512)
       return dn__fail_sizes(err, DN_BAD_VALUE, where, SIZE_MAX, "resolution ", desc->resolution, ", at most ", 512,
                             NULL);
+   if (desc->kernel != DN_KERNEL_AUTO && !dn_kernel_available(desc->kernel))
+      return dn__fail(err, DN_UNSUPPORTED, where, SIZE_MAX, "kernel: found one that does not run here, expected automatic");
    if (!dn__finite(desc->weld_distance))
       return dn__fail(err, DN_BAD_VALUE, where, SIZE_MAX, "weld_distance is not finite");
    if (bare) return DN_OK;
@@ -7759,7 +7826,7 @@ static dn_result dn__bind_finish(dn__bind *b, dn_rig *r)
    dn_result result;
    r->model = b->model;
    r->skinning = b->desc->skinning;
-   r->kernel = dn__kernel_best();
+   r->kernel = b->desc->kernel != DN_KERNEL_AUTO ? b->desc->kernel : b->model ? b->model->info.kernel : dn__kernel_best();
    v->vertices = V;
    v->nodes = v->graph.nodes = N;
    v->joints = b->joints;
@@ -12228,9 +12295,11 @@ static size_t dn__load_nbs_conv(dn__loader *l, const char *name, size_t in, size
       width = from < sliced ? dn__min(DN__EDGE_SLICE, sliced - from) : in - from;
       bytes = dn_meshconv_size(width, out);
       memory = dn__take(&l->memory, bytes ? bytes : SIZE_MAX, 1);
-      if (l->packing && !l->failed)
-         dn__meshconv_pack_part(layer++, in, from, width, out, weight, bias, has_bn ? &bn : NULL,
+      if (l->packing && !l->failed) {
+         dn__meshconv_pack_part(layer, in, from, width, out, weight, bias, has_bn ? &bn : NULL,
                                 sliced ? DN_ACT_NONE : act, memory);
+         layer++->kernel = l->kernel;
+      }
    }
    return out;
 }
@@ -12320,9 +12389,12 @@ static void dn__load_nbs_coff(dn__loader *l, struct dn__blend_net *net)
          has_bn = dn__batchnorm(l, name, out, &bn);
          memory = dn__take(&l->memory, dn_linear_size(in, out), 1);
          if (l->failed) return;
-         if (l->packing)
-            dn_linear_pack(&net->coff[j * net->coff_count + i], in, out, weight, bias, has_bn ? &bn : NULL,
-                           last ? DN_ACT_NONE : DN_ACT_LEAKYRELU, memory);
+         if (l->packing) {
+            dn_linear *layer = &net->coff[j * net->coff_count + i];
+            dn_linear_pack(layer, in, out, weight, bias, has_bn ? &bn : NULL, last ? DN_ACT_NONE : DN_ACT_LEAKYRELU,
+                           memory);
+            layer->kernel = l->kernel;
+         }
          widest = dn__max(widest, out);
          in = out;
       }

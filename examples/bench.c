@@ -50,11 +50,11 @@ static void *take(size_t count, size_t size)
 }
 static double megabytes(size_t bytes) { return (double)bytes / 1e6; }
 
-static const char *const kernel_names[] = { "ref", "sse", "avx2", "avx512", "neon", "wasm" };
+static const char *const kernel_names[] = { "auto", "ref", "sse", "avx2", "avx512", "neon", "wasm" };
 static int kernel_best(void)
 {
    int k = DN_KERNEL_COUNT;
-   while (--k > 0 && !dn_kernel_available((dn_kernel)k)) {}
+   while (--k > DN_KERNEL_REF && !dn_kernel_available((dn_kernel)k)) {}
    return k;
 }
 static double number(const char *key, const char *text, double low, double high)
@@ -96,9 +96,9 @@ static options read_options(int argc, char **argv)
          if (strcmp(value, "f32") != 0) ex_die("--precision %s: expected f32, the one precision there is", value);
       } else if (strcmp(key, "--kernel") == 0) {
          for (k = DN_KERNEL_COUNT; --k >= 0 && strcmp(value, kernel_names[k]) != 0;) {}
-         if (k < 0 && strcmp(value, "auto") != 0) ex_die("--kernel %s: expected ref, sse, avx2, avx512, neon, wasm or auto", value);
-         if (k >= 0 && !dn_kernel_available((dn_kernel)k)) ex_die("--kernel %s does not run here", value);
-         if (k >= 0) o.kernel = k;
+         if (k < 0) ex_die("--kernel %s: expected ref, sse, avx2, avx512, neon, wasm or auto", value);
+         if (k != DN_KERNEL_AUTO && !dn_kernel_available((dn_kernel)k)) ex_die("--kernel %s does not run here", value);
+         o.kernel = k == DN_KERNEL_AUTO ? kernel_best() : k;
       } else ex_die("unknown argument \"%s\" (--help lists them)", key);
    }
    if (o.character && (o.nodes || o.shuffle)) ex_die("--character brings its own mesh: --nodes and --shuffle are for made ones");
@@ -298,27 +298,22 @@ typedef struct subject {
    ex_scene *scene;
 } subject;
 
-/* as tests/golden.c does it: a model packs for the fastest kernel, the layers are where another is set */
-static void choose_kernel(dn_model *m, dn_kernel kernel)
-{
-   size_t i;
-   for (i = 0; i < m->block_count; i++) m->blocks[i].linear.kernel = m->blocks[i].gat.kernel = kernel;
-   dn__copy_dense(m);
-}
 static dn_model *load(const bench *b, const char *arch, const char *path) /* path NULL: a made one */
 {
    dn_error e;
    dn_model *m;
-   if (path) m = dn_model_load_file(path, NULL, &e);
+   dn_model_options chosen;
+   memset(&chosen, 0, sizeof chosen);
+   chosen.kernel = (dn_kernel)b->o.kernel;
+   if (path) m = dn_model_load_file(path, &chosen, NULL, &e);
    else {
       size_t size;
       unsigned char *file = ex_made_model(arch, b->o.pooling, strcmp(arch, "clothnet") == 0 ? 24 : 65, &size);
       if (!file) ex_die("--arch %s: expected mlp, gat, neuroskinning, densegats, multiresgnet or clothnet", arch);
-      m = dn_model_load(file, size, NULL, &e);
+      m = dn_model_load(file, size, &chosen, NULL, &e);
       free(file);
    }
    if (!m) ex_die("%s: %s", path ? path : arch, e.info);
-   if (b->o.kernel != kernel_best()) choose_kernel(m, (dn_kernel)b->o.kernel);
    return m;
 }
 static void made_desc(const ex_made *made, dn_rig_desc *d, dn_skin_set *skin, const dn_model_info *info)
@@ -338,7 +333,6 @@ static void subject_ready(subject *s, const bench *b)
 {
    dn_error e;
    dn_rig_describe(s->rig, &s->view);
-   s->rig->kernel = (dn_kernel)b->o.kernel;
    s->scratch = dn_scratch_create(s->rig, b->o.threads, NULL, &s->scratch_bytes, &e);
    if (!s->scratch) ex_die("%s: %s", s->name, e.info);
    s->positions = (float *)take(s->view.vertices, 3 * sizeof(float));
@@ -358,6 +352,7 @@ static subject subject_made(const bench *b, const char *name, dn_model *model, s
    s.made = ex_made_mesh(nodes, model && s.info.joints ? s.info.joints : 65, 0.5214, b->o.shuffle);
    if (!s.made) ex_die("out of memory for a mesh of %lu nodes", (unsigned long)nodes);
    made_desc(s.made, &d, &skin, model ? &s.info : NULL);
+   d.kernel = (dn_kernel)b->o.kernel;
    d.parallel = &b->par[1];
    s.rig = dn_rig_create(model, &d, NULL, &s.report, &e);
    if (!s.rig) ex_die("%s: %s", name, e.info);
@@ -378,6 +373,7 @@ static subject subject_character(const bench *b, const char *name, dn_model *mod
    s.model = model;
    dn_model_describe(model, &s.info);
    ex_describe(scene, &d, &skin);
+   d.kernel = (dn_kernel)b->o.kernel;
    if (s.info.joint_names && strcmp(s.info.joint_names[0], "joint0") == 0 && scene->joints == s.info.joints)
       d.skeleton.names = s.info.joint_names; /* a made model: its joints are anybody's */
    d.parallel = &b->par[1];
@@ -721,7 +717,7 @@ static void run_bind(bench *b, ex_scene *scene)
    dn_error e;
    size_t size;
    unsigned char *file = ex_made_model("densegats", "rest", scene ? scene->joints : 65, &size);
-   dn_model *m = file ? dn_model_load(file, size, NULL, &e) : NULL;
+   dn_model *m = file ? dn_model_load(file, size, NULL, NULL, &e) : NULL;
    ex_made *made = scene ? NULL : ex_made_mesh(13000, 65, 0.09, 0);
    ex_times t;
    dn_report r;

@@ -55,7 +55,7 @@ int main(int argc, char **argv)
    d.mesh.skin_sets = 1, d.mesh.skin = &skin;
    d.skeleton.joints = 2, d.skeleton.names = names, d.skeleton.inverse_bind = inverse_bind; /* 3x4, rows */
 
-   dn_model *model = dn_model_load_file(path, NULL, &err);
+   dn_model *model = dn_model_load_file(path, NULL, NULL, &err);
    dn_rig *rig = model ? dn_rig_create(model, &d, NULL, NULL, &err) : NULL;
    size_t size;
    void *scratch = rig ? dn_scratch_create(rig, 1, NULL, &size, &err) : NULL;

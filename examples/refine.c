@@ -375,7 +375,7 @@ static void print_report(const job *j, const char *model, const char *character)
    printf("\nbind        %.0f ms, once\n", j->ms_bind);
    printf("per frame   skin %.2f + features %.2f + network %.2f + normals %.2f: %.2f ms (medians; %u thread%s, %s)\n",
           j->ms_stage[SKIN], j->ms_stage[FEATURES], j->ms_stage[NETWORK], j->ms_stage[NORMALS], j->ms_total,
-          j->parallel.workers, j->parallel.workers == 1 ? "" : "s", dn_kernel_name());
+          j->parallel.workers, j->parallel.workers == 1 ? "" : "s", dn_kernel_name(DN_KERNEL_AUTO));
    printf("memory      model %.2f MB, rig %.2f MB, scratch %.2f MB\n", (double)j->info.bytes * mb, (double)j->view.bytes * mb,
           (double)j->scratch_bytes * mb);
    if (j->fallback_frames)
@@ -430,7 +430,7 @@ static int write_json(const job *j)
    json_figure(f, "worse_frames", known, (double)j->worse_frames);
    json_figure(f, "refined_jump_p99_cm", j->frames > 2, j->jumps[0].p99);
    json_figure(f, "truth_jump_p99_cm", known && j->frames > 2, j->jumps[1].p99);
-   fprintf(f, ",\n  \"fallback_nodes\": %zu,\n  \"kernels\": \"%s\"\n}\n", j->fallback_nodes, dn_kernel_name());
+   fprintf(f, ",\n  \"fallback_nodes\": %zu,\n  \"kernels\": \"%s\"\n}\n", j->fallback_nodes, dn_kernel_name(DN_KERNEL_AUTO));
    bad = ferror(f) != 0;
    bad |= fclose(f) != 0;
    return bad ? ex_say("%s: writing failed", j->o.json) : 0;
@@ -546,7 +546,7 @@ static int run(job *j, int argc, char **argv)
    character = bundled_character ? ex_bundled(program, "demo/humanoid.safetensors", paths[2], sizeof paths[2]) : j->o.character;
    motion = j->o.truth ? j->o.truth : j->o.motion ? j->o.motion : character;
 
-   j->model = dn_model_load_file(model, NULL, &err);
+   j->model = dn_model_load_file(model, NULL, NULL, &err);
    if (!j->model) return ex_say_error(model, &err);
    dn_model_describe(j->model, &j->info);
    j->scene = ex_scene_load(character, error);

@@ -573,7 +573,7 @@ static void print_report(job *j)
    else if (fabs(j->hand_span / span - 1) > 0.25 || fabs(j->hand_height - height) > 0.25 * span)
       printf("\nplacement   hand span %.3g at height %.3g, SMPL's T-pose %.2f at %.2f: for a model trained on that, give --fit", j->hand_span,
              j->hand_height, span, height);
-   printf("\nbind        %.0f ms, once (%u thread%s, %s)\n", j->ms_bind, j->parallel.workers ? j->parallel.workers : 1, j->parallel.workers > 1 ? "s" : "", dn_kernel_name());
+   printf("\nbind        %.0f ms, once (%u thread%s, %s)\n", j->ms_bind, j->parallel.workers ? j->parallel.workers : 1, j->parallel.workers > 1 ? "s" : "", dn_kernel_name(DN_KERNEL_AUTO));
    printf("skin        %zu of %zu influences a vertex: they hold %.2f %% of its weights on average, %.1f %% at least\n", j->influences,
           j->view.joints, 100 * j->kept_mean, 100 * j->kept_least);
    printf("targets     %zu of %zu shapes%s", j->targets, j->coefficients, j->o.is_signed ? "" : ", weights 0 .. 1");
@@ -600,7 +600,7 @@ static int run(job *j, int argc, char **argv)
    if (read_options(&j->o, argc, argv)) return 1;
    j->mesh = ex_mesh_load(j->o.mesh, error);
    if (!j->mesh) return ex_say("%s", error);
-   j->model = dn_model_load_file(j->o.model, NULL, &err);
+   j->model = dn_model_load_file(j->o.model, NULL, NULL, &err);
    if (!j->model) return ex_say_error(j->o.model, &err);
    dn_model_describe(j->model, &j->info);
    if (j->o.threads > 1 && !(j->pool = ex_pool_create(j->o.threads))) return ex_say("cannot start %u threads", j->o.threads);

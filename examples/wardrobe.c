@@ -389,7 +389,7 @@ static int load_model(const char *path, dn_model **model)
 {
    dn_error e;
    if (!path) return 0;
-   *model = dn_model_load_file(path, NULL, &e);
+   *model = dn_model_load_file(path, NULL, NULL, &e);
    return *model ? 0 : ex_say_error(path, &e);
 }
 static int open_all(job *j)

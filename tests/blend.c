@@ -113,7 +113,7 @@ static dn_model *model_of(const widths *w)
    dn_error e;
    size_t size;
    unsigned char *file = model_file(w, 0, NULL, "", &size);
-   dn_model *m = dn_model_load(file, size, NULL, &e);
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
    if (!CHECK_MSG(m != NULL, "%s", e.info)) exit(1);
    free(file);
    return m;
@@ -836,7 +836,7 @@ TEST(memory_stays_within_what_is_stated)
       unsigned workers = 2;
       dn_parallel par;
       file = model_file(&paper, (int)k, NULL, "", &size);
-      m = dn_model_load(file, size, &a, &e);
+      m = dn_model_load(file, size, NULL, &a, &e);
       CHECK_MSG(m != NULL, "%s", e.info);
       CHECK_MSG(c.peak < (k ? 4 : 2) * size, "load: %lu bytes for a file of %lu", (unsigned long)c.peak, (unsigned long)size);
       par.run = odd_run, par.user = &workers, par.workers = 2;
@@ -872,7 +872,7 @@ TEST(memory_stays_within_what_is_stated)
 }
 static dn_result load_and_blend(const unsigned char *file, size_t size, const dn_blend_desc *d, dn_allocator *a, dn_error *err)
 {
-   dn_model *m = dn_model_load(file, size, a, err);
+   dn_model *m = dn_model_load(file, size, NULL, a, err);
    dn_blend *b = m ? dn_blend_create(m, d, a, err) : NULL;
    size_t bytes = 0;
    void *scratch = b ? dn_blend_scratch_create(b, a, &bytes, err) : NULL;
@@ -927,7 +927,7 @@ TEST(allocations_that_fail_and_cancelling)
    AT_LEAST(cancelled, 12, "places to cancel");
    d.progress = NULL;
    { /* memory of exactly the queried sizes, and too little of it */
-      dn_model *m = dn_model_load(file, size, NULL, &e);
+      dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
       size_t bytes, scratch, frame;
       dn_blend *b = NULL;
       dn_blend_view v;
@@ -974,7 +974,7 @@ TEST(forbidden_blocks_are_ignored)
    shape s = shape_of(6, 8, 0, 0);
    dn_blend_desc d = desc_of(&s);
    dn_error e;
-   dn_model *m = dn_model_load(file, size, NULL, &e);
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
    posed p = posed_of(m, &d, NULL), q;
    uint64_t h = posed_hash(&p);
    float *w = data_of(file, size, "gen.0.weight", &count);
@@ -985,7 +985,7 @@ TEST(forbidden_blocks_are_ignored)
       if (apart > 2) memcpy(w + i, &nan_bits, 4), changed++;
    }
    dn_model_free(m);
-   m = dn_model_load(file, size, NULL, &e);
+   m = dn_model_load(file, size, NULL, NULL, &e);
    CHECK_MSG(m != NULL, "%s", e.info);
    q = posed_of(m, &d, NULL);
    CHECK(posed_hash(&q) == h);
@@ -994,7 +994,7 @@ TEST(forbidden_blocks_are_ignored)
    posed_free(&q);
    dn_model_free(m);
    memcpy(w, &nan_bits, 4); /* one that counts */
-   CHECK(dn_model_load(file, size, NULL, &e) == NULL && e.code == DN_BAD_VALUE && strstr(e.info, "gen.0.weight"));
+   CHECK(dn_model_load(file, size, NULL, NULL, &e) == NULL && e.code == DN_BAD_VALUE && strstr(e.info, "gen.0.weight"));
    free(file);
    shape_free(&s);
 }
@@ -1006,7 +1006,7 @@ static void refused(const widths *w, const char *parents, const char *meta, dn_r
    counting c;
    dn_allocator a = counting_allocator(&c, -1);
    dn_error e;
-   dn_model *m = dn_model_load(file, size, &a, &e);
+   dn_model *m = dn_model_load(file, size, NULL, &a, &e);
    CHECK_MSG(!m && e.code == code && strstr(e.info, word), "expected %s about %s, got %s: %s", dn_result_text(code), word, m ? "a model" : dn_result_text(e.code), m ? "" : e.info);
    CHECK(m || c.live == 0);
    refusals++;
@@ -1056,7 +1056,7 @@ TEST(files_that_do_not_fit_together)
       CHECK(dn_rig_create(m, &t.desc, NULL, NULL, &e) == NULL && e.code == DN_UNSUPPORTED && strstr(e.info, "dn_blend_create"));
       dn_model_describe(m, &info);
       CHECK(info.arch == DN_NEURALBLENDSHAPES && info.joints == 5 && info.parameters > 500 && info.bytes > 2000);
-      other = dn_model_load(file, size, NULL, &e);
+      other = dn_model_load(file, size, NULL, NULL, &e);
       CHECK(other && dn_blend_create(other, &d, NULL, &e) == NULL && e.code == DN_UNSUPPORTED && strstr(e.info, "dn_rig_create"));
       dn_model_free(other);
       dn_model_free(m);
@@ -1085,7 +1085,7 @@ TEST(every_prefix_and_every_flipped_byte)
       dn_model *m;
       own = test_copy(file, n);
       memset(&e, 0, sizeof e);
-      m = dn_model_load(own, n, NULL, &e);
+      m = dn_model_load(own, n, NULL, NULL, &e);
       CHECK_MSG(m == NULL && e.code != DN_OK && e.info[0], "%lu of %lu bytes load", (unsigned long)n, (unsigned long)size);
       dn_model_free(m);
       free(own);
@@ -1098,7 +1098,7 @@ TEST(every_prefix_and_every_flipped_byte)
          dn_model *m;
          own = test_copy(file, size);
          own[n] = (unsigned char)(own[n] ^ flips[k]);
-         m = dn_model_load(own, size, &a, &e);
+         m = dn_model_load(own, size, NULL, &a, &e);
          if (m) {
             dn_blend *b = dn_blend_create(m, &d, &a, &e);
             loaded++;

@@ -351,7 +351,7 @@ static size_t change_is(wardrobe *w, dn_dressed *d, const dn_dressed_changes *c)
 static dn_model *model_from(const char *path)
 {
    dn_error e;
-   dn_model *m = dn_model_load_file(path, NULL, &e);
+   dn_model *m = dn_model_load_file(path, NULL, NULL, &e);
    if (!m) fprintf(stderr, "dressed: %s\n", e.info), exit(2);
    return m;
 }

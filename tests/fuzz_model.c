@@ -48,7 +48,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
    } else REQUIRE(e.code != DN_OK && e.info[0]);
 
    memset(&e, 0, sizeof e);
-   m = dn_model_load(data, size, &a, &e);
+   m = dn_model_load(data, size, NULL, &a, &e);
    if (m) {
       static tube t; /* its skeleton: the three joints that skin it, or as many as the model names */
       static float inverse[FUZZ_JOINTS * 12], palette[FUZZ_JOINTS * 12];

@@ -95,7 +95,7 @@ static dn_model *model_of(int kind, const char *pooling, const char *frame, cons
 {
    model_file f = model_bytes(kind, pooling, frame, zero);
    dn_error err;
-   dn_model *m = dn_model_load(f.data, f.size, NULL, &err);
+   dn_model *m = dn_model_load(f.data, f.size, NULL, NULL, &err);
    CHECK_MSG(m != NULL, "%s: %s", paths[kind], m ? "" : err.info);
    free(f.data);
    if (!m) exit(2);
@@ -862,7 +862,7 @@ TEST(refusals_say_what_and_where)
    const dn_model *m[KINDS] = {model_of(COARSE, "dynamic", "model", NULL), model_of(FIT, "rest", "model", NULL), model_of(CLOTH, "dynamic", "model", NULL)};
    size_t size;
    unsigned char *file = test_file("data/golden/mlp_small.safetensors", &size);
-   dn_model *mlp = dn_model_load(file, size, NULL, NULL);
+   dn_model *mlp = dn_model_load(file, size, NULL, NULL, NULL);
    dn_garment_desc d;
    dn_rig_desc r;
    dn_error err;
@@ -922,7 +922,7 @@ static void altered(int kind, const char *from, const char *to, dn_result code, 
    header = header - n + extra;
    for (k = 0; k < 8; k++) out[k] = (unsigned char)((uint64_t)header >> (8 * k));
    memset(&err, 0, sizeof err);
-   m = dn_model_load(out, f.size - n + extra, NULL, &err);
+   m = dn_model_load(out, f.size - n + extra, NULL, NULL, &err);
    CHECK_MSG(!m && err.code == code && strstr(err.info, word), "%s -> %s: %s: %s", from, to, dn_result_text(err.code), err.info);
    dn_model_free(m);
    free(out);
@@ -961,7 +961,7 @@ static int survives(const unsigned char *file, size_t size, int kind)
    dn_garment_desc d = one.desc;
    dn_model_info info;
    memset(&err, 0, sizeof err);
-   m = dn_model_load(file, size, NULL, &err);
+   m = dn_model_load(file, size, NULL, NULL, &err);
    if (!m) return (CHECK(err.code != DN_OK && err.info[0]), 0);
    dn_model_describe(m, &info);
    if (info.arch == DN_GARFIT_COARSE) d.coarse = m;
@@ -991,7 +991,7 @@ TEST(every_prefix_and_flipped_bytes)
          unsigned char *cut = test_copy(f.data, i);
          dn_error err;
          memset(&err, 0, sizeof err);
-         CHECK(!dn_model_load(cut, i, NULL, &err) && err.code != DN_OK && err.info[0]);
+         CHECK(!dn_model_load(cut, i, NULL, NULL, &err) && err.code != DN_OK && err.info[0]);
          free(cut);
       }
       for (i = 0; i < f.size; i += i < header ? 7 : 173, flips++) { /* header densely, numbers here and there */
@@ -1044,7 +1044,7 @@ TEST(allocations_that_fail)
          h.until = n, h.live = 0, h.failed = 0;
          a.alloc = heap_alloc, a.free = heap_free, a.user = &h;
          memset(&err, 0, sizeof err);
-         m = dn_model_load(f.data, f.size, &a, &err);
+         m = dn_model_load(f.data, f.size, NULL, &a, &err);
          if (k == COARSE) d.coarse = m;
          else d.refine = m;
          if (m) g = dn_garment_create(&d, &a, NULL, &err);

@@ -21,7 +21,7 @@
 
 #define COUNT(a) (sizeof(a) / sizeof *(a))
 
-static int kernel = -1; /* a dn_kernel, or -1: what packing chooses */
+static dn_model_options options; /* DN_KERNEL_AUTO: what packing chooses */
 static int brief;       /* a line per case, and the failures */
 static double case_share;
 static double absolute = 1e-5;
@@ -441,16 +441,7 @@ static dn_activation activation_of(const run *r, const char *fallback)
    return DN_ACT_NONE;
 }
 
-static dn_kernel chosen(dn_kernel fastest) { return kernel < 0 ? fastest : (dn_kernel)kernel; }
-/* a model packs for the fastest kernel; the layers are where another is set */
-static void choose_kernel(dn_model *m)
-{
-   size_t i;
-   for (i = 0; i < m->block_count; i++)
-      m->blocks[i].linear.kernel = m->blocks[i].gat.kernel = chosen(m->blocks[i].gat.kernel > m->blocks[i].linear.kernel
-                                                                       ? m->blocks[i].gat.kernel : m->blocks[i].linear.kernel);
-   dn__copy_dense(m);
-}
+static dn_kernel chosen(dn_kernel fastest) { return options.kernel == DN_KERNEL_AUTO ? fastest : options.kernel; }
 
 typedef struct gat { dn_gat g; void *raw; } gat;
 static int gat_of(const run *r, const char *prefix, dn_activation activation, gat *out)
@@ -927,12 +918,11 @@ static int net_of(const run *r, bytes file_bytes, dn_skinning skinning, net *n)
    n->joints = palettes->rank >= 4 ? palettes->shape[1] : palettes->count / 12;
    n->poses = n->joints ? palettes->count / 12 / n->joints : 0;
    n->palettes = floats(palettes);
-   n->model = dn_model_load(file_bytes.data, file_bytes.size, NULL, &err);
+   n->model = dn_model_load(file_bytes.data, file_bytes.size, &options, NULL, &err);
    if (!n->model) {
       line(r, "FAIL", "model", "%s: %s", dn_result_text(err.code), err.info);
       return 0;
    }
-   choose_kernel(n->model);
    dn_model_describe(n->model, &n->info);
    for (i = 0; i < n->info.feature_count; i++) wants_geodesic |= n->info.features[i] == DN_GEODESIC;
    positions = floats(p);
@@ -1797,7 +1787,6 @@ static void run_cases(const file *model, const file *cases, const char *path)
    free(names);
 }
 
-static const char *const kernel_names[] = {"reference", "sse", "avx2", "avx512", "neon", "wasm"};
 
 static void run_files(int argc, char **argv, const file *model)
 {
@@ -1833,9 +1822,9 @@ int main(int argc, char **argv)
          absolute = strtod(argv[++i], &end);
          if (*end || !(absolute > 0)) fprintf(stderr, "golden: --tolerance takes a number above 0\n"), exit(2);
       } else if (strcmp(argv[i], "--kernel") == 0 && i + 1 < argc) {
-         for (k = 0, i++; k < COUNT(kernel_names); k++)
-            if (strcmp(argv[i], kernel_names[k]) == 0) kernel = (int)k;
-         if (kernel < 0 || !dn_kernel_available((dn_kernel)kernel))
+         for (k = DN_KERNEL_REF, i++; k < DN_KERNEL_COUNT; k++)
+            if (strcmp(argv[i], dn_kernel_name((dn_kernel)k)) == 0) options.kernel = (dn_kernel)k;
+         if (!dn_kernel_available(options.kernel))
             fprintf(stderr, "golden: kernel %s does not run here\n", argv[i]), exit(2);
       } else if (strcmp(argv[i], "--every-kernel") == 0) every = 1;
       else if (strcmp(argv[i], "--brief") == 0) brief = 1;
@@ -1854,8 +1843,8 @@ int main(int argc, char **argv)
    }
    for (k = 0; k < (every ? (size_t)DN_KERNEL_COUNT : 1); k++) {
       if (every && !dn_kernel_available((dn_kernel)k)) continue;
-      if (every) kernel = (int)k;
-      printf("kernel %s, tolerance %g + %g |x|\n", kernel < 0 ? dn_kernel_name() : kernel_names[kernel], absolute, relative);
+      if (every) options.kernel = (dn_kernel)k;
+      printf("kernel %s, tolerance %g + %g |x|\n", dn_kernel_name(options.kernel), absolute, relative);
       run_files(argc, argv, &model);
    }
    close_file(&model);

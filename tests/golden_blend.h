@@ -145,15 +145,6 @@ static void run_skeleton(const run *r)
 }
 
 /* --- the network */
-static void choose_blend_kernel(dn_model *m)
-{
-   struct dn__blend_net *nb = (struct dn__blend_net *)m->blend;
-   size_t i, k;
-   for (k = 0; k < DN__BRANCHES; k++)
-      for (i = k == DN__DEC; i < nb->count[k]; i++) nb->conv[k][i].kernel = chosen(nb->conv[k][i].kernel);
-   for (i = 0; i < nb->slices; i++) nb->slice[i].kernel = chosen(nb->slice[i].kernel);
-   for (i = 0; i < (nb->joints - 1) * nb->coff_count; i++) nb->coff[i].kernel = chosen(nb->coff[i].kernel);
-}
 typedef struct masks { unsigned char *near_bar; /* (V,S-1) */ unsigned char *row; /* (V) any of them */ float *mine; /* (V,S-1) */ } masks;
 static masks masks_of(const dn_blend_view *v, size_t rows, const uint32_t *node)
 {
@@ -232,7 +223,7 @@ static void run_blend(const run *r)
 {
    const dn_tensor *p = in(r, "in.positions"), *f = in(r, "in.faces"), *turns = in(r, "in.axis_angle"), *full = in(r, "in.rotations"), *t;
    dn_error err;
-   dn_model *model = dn_model_load(r->model->b.data, r->model->b.size, NULL, &err);
+   dn_model *model = dn_model_load(r->model->b.data, r->model->b.size, &options, NULL, &err);
    dn_blend *blend = NULL;
    dn_blend_desc d;
    dn_blend_view v;
@@ -245,7 +236,6 @@ static void run_blend(const run *r)
    memset(&d, 0, sizeof d);
    if (!model) line(r, "FAIL", "model", "%s: %s", err.where, err.info);
    if (model && p && mesh_of(r, 0, &m)) {
-      choose_blend_kernel(model);
       probe = probe_of(&seen, r, NULL);
       d.mesh.vertices = m.vertices, d.mesh.positions = m.positions;
       d.mesh.triangles = m.triangles, d.mesh.indices = m.faces, d.mesh.index_type = DN_U32;

@@ -82,12 +82,11 @@ static int suit_of(const run *r, const outfit *kind, bytes file_bytes, suit *s)
    s->joints = palettes->rank >= 4 ? palettes->shape[1] : palettes->count / 12;
    s->poses = s->joints ? palettes->count / 12 / s->joints : 0;
    s->palettes = floats(palettes);
-   s->model = dn_model_load(file_bytes.data, file_bytes.size, NULL, &err);
+   s->model = dn_model_load(file_bytes.data, file_bytes.size, &options, NULL, &err);
    if (!s->model) {
       line(r, "FAIL", "model", "%s: %s", dn_result_text(err.code), err.info);
       return 0;
    }
-   choose_kernel(s->model);
    dn_model_describe(s->model, &s->info);
    if (s->info.joint_names && s->info.joints != s->joints) {
       line(r, "FAIL", "in.palettes", "%zu joints, the model names %zu", s->joints, s->info.joints);

@@ -44,7 +44,7 @@ static int refused(const unsigned char *file, size_t size, dn_result code, const
    }
    test_aligned_free(memory);
    memset(&e, 0, sizeof e);
-   m = dn_model_load(file, size, &a, &e);
+   m = dn_model_load(file, size, NULL, &a, &e);
    if (code != DN_OK) {
       ok &= CHECK_MSG(m == NULL && e.code != DN_OK && e.info[0], "%s: the loader must refuse it too", label);
       ok &= CHECK_MSG(c.total <= 4 * size + 4096, "%s: %lu bytes allocated for %lu", label, (unsigned long)c.total, (unsigned long)size);
@@ -468,7 +468,7 @@ TEST(t11_wrong_kinds_of_value)
                memcpy(at, to[i][k], strlen(to[i][k]));
                file = tiny_join(text, 0, model + 8 + header_size, size - 8 - header_size, &n);
                memset(&e, 0, sizeof e);
-               m = dn_model_load(file, n, NULL, &e);
+               m = dn_model_load(file, n, NULL, NULL, &e);
                CHECK_MSG(!m && e.code && strstr(e.info, "deformnet."), "%s: %s", to[i][k], m ? "accepted" : e.info);
                refusals += !m;
                dn_model_free(m);
@@ -491,7 +491,7 @@ static int survives(const unsigned char *file, size_t size, const tube *t, size_
    dn_model *m;
    int ok = 1;
    memset(&e, 0, sizeof e);
-   m = dn_model_load(file, size, &a, &e);
+   m = dn_model_load(file, size, NULL, &a, &e);
    if (!m) ok &= CHECK_MSG(e.code != DN_OK && e.code < DN_RESULT_COUNT && e.where && e.info[0] && memchr(e.info, 0, sizeof e.info),
                            "%s at %lu: refused without a reason", label, (unsigned long)at);
    else {
@@ -561,7 +561,7 @@ TEST(t13_odd_addresses)
    unsigned char *file = tiny_multires("distance", "dynamic", &size);
    float expected[TUBE_V * 3], out[TUBE_V * 3];
    dn_error e;
-   dn_model *m = dn_model_load(file, size, NULL, &e);
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
    tube_make(&t);
    if (!CHECK(m && tiny_deform(m, &t, expected, NULL, NULL, &e) == DN_OK)) return;
    dn_model_free(m);
@@ -573,7 +573,7 @@ TEST(t13_odd_addresses)
          memset(moved + 8 + header, ' ', n);
          memcpy(moved + 8 + header + n, file + 8 + header, size - 8 - header);
          for (i = 0; i < 8; i++) moved[i] = (unsigned char)((uint64_t)(header + n) >> (8 * i));
-         m = dn_model_load(moved, total, NULL, &e);
+         m = dn_model_load(moved, total, NULL, NULL, &e);
          memset(block, 0xa5, total + k); /* the model must not look at the file again */
          if (CHECK_MSG(m != NULL, "shift %lu + %lu: %s", (unsigned long)k, (unsigned long)n, m ? "" : e.info)) {
             CHECK(tiny_deform(m, &t, out, NULL, NULL, &e) == DN_OK);
@@ -654,7 +654,7 @@ TEST(t14_weights_that_are_not_numbers)
          }
          if (k < 5) { /* not finite: the error names the tensor */
             dn_error e;
-            dn_model *m = dn_model_load(file, size, NULL, &e);
+            dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
             CHECK_MSG(!m && loaded == before && e.code == DN_BAD_VALUE && strstr(e.info, names[i]), "%s: %s", names[i], m ? "accepted" : e.info);
             dn_model_free(m);
             refusals++;
@@ -690,7 +690,7 @@ TEST(t14_weights_that_are_not_numbers)
 /* the parts of "load, bind, deform" that allocate, with the k-th allocation failing */
 static dn_result load_and_bind(const unsigned char *file, size_t size, const tube *t, dn_allocator *a, dn_error *err)
 {
-   dn_model *m = dn_model_load(file, size, a, err);
+   dn_model *m = dn_model_load(file, size, NULL, a, err);
    dn_report report;
    dn_rig *rig;
    void *scratch = NULL;
@@ -781,12 +781,12 @@ TEST(t15_allocations_that_fail)
          CHECK(dn_tensors_size(file, size, &table, &e) == DN_OK);
          p[0] = test_aligned(table);
          CHECK(dn_tensors_open(file, size, p[0], table, &view, &e) == DN_OK);
-         CHECK(dn_model_size(view, &bytes, &scratch, &e) == DN_OK && bytes && scratch);
+         CHECK(dn_model_size(view, NULL, &bytes, &scratch, &e) == DN_OK && bytes && scratch);
          p[1] = test_aligned(bytes), p[2] = test_aligned(scratch);
          memset(p[1], 0xa5, bytes), memset(p[2], 0x5a, scratch);
-         CHECK(dn_model_init(view, p[1], bytes - 1, p[2], scratch, &m, &e) == DN_TOO_SMALL && !m && e.info[0]);
-         CHECK(dn_model_init(view, p[1], bytes, p[2], scratch - 1, &m, &e) == DN_TOO_SMALL && !m && e.info[0]);
-         CHECK(dn_model_init(view, p[1], bytes, p[2], scratch, &m, &e) == DN_OK && m);
+         CHECK(dn_model_init(view, NULL, p[1], bytes - 1, p[2], scratch, &m, &e) == DN_TOO_SMALL && !m && e.info[0]);
+         CHECK(dn_model_init(view, NULL, p[1], bytes, p[2], scratch - 1, &m, &e) == DN_TOO_SMALL && !m && e.info[0]);
+         CHECK(dn_model_init(view, NULL, p[1], bytes, p[2], scratch, &m, &e) == DN_OK && m);
          CHECK(dn_rig_size(m, &t.desc, &rig_bytes, &rig_scratch, &e) == DN_OK && rig_bytes && rig_scratch);
          p[3] = test_aligned(rig_bytes), p[4] = test_aligned(rig_scratch);
          memset(p[3], 0xa5, rig_bytes), memset(p[4], 0x5a, rig_scratch);
@@ -822,13 +822,52 @@ TEST(t15_allocations_that_fail)
 
 /* scattered vertices that weld within a third of the body: nodes span another box than the vertices did, and the scratch
    that was sized from the counts and the box must still do */
+/* kernels and precisions that are there, are not there, and are none */
+TEST(options_of_loading)
+{
+   size_t size, loaded = 0, refused = 0;
+   int k;
+   unsigned char *file = tiny_multires("geodesic", "rest", &size);
+   dn_model_options o;
+   dn_model_info info;
+   dn_error e;
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
+   dn_model_describe(m, &info);
+   CHECK(info.precision == DN_PRECISION_F32 && dn_kernel_available(info.kernel));
+   CHECK(strcmp(dn_kernel_name(info.kernel), dn_kernel_name(DN_KERNEL_AUTO)) == 0);
+   dn_model_free(m);
+   for (k = 0; k <= DN_KERNEL_COUNT; k++) {
+      memset(&o, 0, sizeof o);
+      memset(&e, 0, sizeof e);
+      o.kernel = (dn_kernel)k;
+      m = dn_model_load(file, size, &o, NULL, &e);
+      CHECK((m != NULL) == (k == DN_KERNEL_AUTO || dn_kernel_available(o.kernel)));
+      if (m) {
+         dn_model_describe(m, &info);
+         CHECK(k == DN_KERNEL_AUTO ? dn_kernel_available(info.kernel) : info.kernel == o.kernel);
+         CHECK(m->blocks[0].linear.kernel == info.kernel && m->dense[0].kernel == info.kernel);
+         loaded++;
+      } else {
+         CHECK_MSG(e.code == DN_UNSUPPORTED && strstr(e.info, "options.kernel") && strstr(e.info, "reference"), "%s", e.info);
+         refused++;
+      }
+      dn_model_free(m);
+   }
+   AT_LEAST(loaded, 2, "kernels loaded for");
+   AT_LEAST(refused, 2, "kernels refused");
+   memset(&o, 0, sizeof o);
+   o.precision = DN_PRECISION_COUNT;
+   m = dn_model_load(file, size, &o, NULL, &e);
+   CHECK_MSG(!m && e.code == DN_UNSUPPORTED && strstr(e.info, "options.precision") && strstr(e.info, "f32"), "%s", e.info);
+   free(file);
+}
 TEST(t15_scratch_under_a_weld_distance)
 {
    uint64_t seed = 7;
    size_t size, round, v, bound = 0;
    unsigned char *file = tiny_multires("geodesic", "rest", &size);
    dn_error e;
-   dn_model *m = dn_model_load(file, size, NULL, &e);
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
    tube t;
    for (round = 0; m && round < 400; round++) {
       dn_rig *rig;
@@ -845,8 +884,8 @@ TEST(t15_scratch_under_a_weld_distance)
    AT_LEAST(bound, 400, "bound");
    dn_model_free(m);
    free(file);
-   CHECK(!dn_model_load_file(".", NULL, &e) && e.code == DN_IO && e.info[0]); /* a folder is not a file */
-   CHECK(!dn_model_load_file("no such file", NULL, &e) && e.code == DN_IO && strstr(e.info, "no such file"));
+   CHECK(!dn_model_load_file(".", NULL, NULL, &e) && e.code == DN_IO && e.info[0]); /* a folder is not a file */
+   CHECK(!dn_model_load_file("no such file", NULL, NULL, &e) && e.code == DN_IO && strstr(e.info, "no such file"));
 }
 
 TEST(t16_declared_sizes)
@@ -889,7 +928,7 @@ TEST(t16_declared_sizes)
       }
       file = tiny_file(&w, &size);
       memset(&e, 0, sizeof e);
-      m = dn_model_load(file, size, &a, &e);
+      m = dn_model_load(file, size, NULL, &a, &e);
       CHECK_MSG(m != NULL, "model %lu: %s", (unsigned long)i, m ? "" : e.info);
       CHECK_MSG(c.total <= 24 * size + 16384, "model %lu: %lu bytes for a file of %lu", (unsigned long)i, (unsigned long)c.total, (unsigned long)size);
       models += m != NULL;
@@ -908,7 +947,7 @@ TEST(t16_declared_sizes)
                "\"pre.0.weight\":{\"dtype\":\"F32\",\"shape\":[%lu,3],\"data_offsets\":[0,%lu]},\"out.weight\":{\"dtype\":\"F32\",\"shape\":[3,%lu],\"data_offsets\":[%lu,%lu]}}",
                (unsigned long)n, (unsigned long)(12 * n), (unsigned long)n, (unsigned long)(12 * n), (unsigned long)(24 * n));
       file = tiny_join(header, 0, data, bytes, &size);
-      m = dn_model_load(file, size, NULL, &e);
+      m = dn_model_load(file, size, NULL, NULL, &e);
       CHECK_MSG(!m && e.code == DN_BAD_SHAPE && strstr(e.info, "pre.0.weight"), "%s", m ? "accepted" : e.info);
       dn_model_free(m);
       free(file);
@@ -925,7 +964,7 @@ static void mesh_is(tube *t, dn_result code, size_t offset, const char *label)
    size_t size, pass;
    unsigned char *file = tiny_multires("geodesic", "rest", &size);
    dn_error e;
-   dn_model *m = dn_model_load(file, size, NULL, &e);
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
    free(file);
    if (!CHECK(m != NULL)) return;
    for (pass = 0; pass < 2; pass++) { /* with a network, and skinning only */
@@ -1038,7 +1077,7 @@ TEST(t17_meshes)
       static const char *const twice[TUBE_S] = {"hip", "hip", "foot"}, *const other[TUBE_S] = {"hip", "kneecap", "toe"}, *const prefix[TUBE_S] = {"mixamorig:hip", "Armature|knee", "foot"};
       static const float few[3] = {0};
       dn_error e;
-      dn_model *m = dn_model_load(file, size, NULL, &e);
+      dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
       dn_rig *rig;
       tube_make(&t), t.desc.skeleton.names = other;
       rig = dn_rig_create(m, &t.desc, NULL, NULL, &e);
@@ -1091,7 +1130,7 @@ TEST(t18_palettes)
    for (f = 0; f < 6; f++) {
       unsigned char *file = f % 3 == 0 ? tiny_mlp(&size) : tiny_multires(f % 3 == 1 ? "distance" : "geodesic", "dynamic", &size);
       dn_error e;
-      dn_model *m = dn_model_load(file, size, NULL, &e);
+      dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
       dn_rig *rig;
       float out[TUBE_V * 3], normals[TUBE_V * 3];
       void *scratch;
@@ -1239,7 +1278,7 @@ TEST(t19_locale_and_floating_point_modes)
    float expected[TUBE_V * 3], out[TUBE_V * 3];
    tube t;
    dn_error e;
-   dn_model *m = dn_model_load(file, size, NULL, &e);
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
    uint64_t hash = halves_hash();
    int comma = 0;
    tube_make(&t);
@@ -1258,7 +1297,7 @@ TEST(t19_locale_and_floating_point_modes)
 #if defined(__SSE__) || defined(_M_X64)
       if (i >= 4) _mm_setcsr(_mm_getcsr() | 0x8040u); /* FTZ, DAZ */
 #endif
-      m = dn_model_load(file, size, NULL, &e);
+      m = dn_model_load(file, size, NULL, NULL, &e);
       CHECK(m && tiny_deform(m, &t, out, NULL, NULL, &e) == DN_OK);
       CHECK_MSG(halves_hash() == hash, "mode %lu changes how numbers are read", (unsigned long)i);
 #if defined(__SSE__) || defined(_M_X64)
@@ -1285,7 +1324,7 @@ TEST(t19_locale_and_floating_point_modes)
       memmove(at + strlen(units[i]), at + 1, strlen(at + 1) + 1);
       memcpy(at, units[i], strlen(units[i]));
       other = tiny_join(text, 0, file + 8 + header, size - 8 - header, &n);
-      m = dn_model_load(other, n, NULL, &e);
+      m = dn_model_load(other, n, NULL, NULL, &e);
       if (CHECK_MSG(m != NULL, "unit %s: %s", units[i], m ? "" : e.info)) {
          dn_model_describe(m, &info);
          CHECK_MSG(fabs((double)(info.unit - values[i])) <= 1e-6 * (double)values[i], "unit %s is read as %g", units[i], (double)info.unit);
@@ -1320,12 +1359,12 @@ TEST(t20_machines)
       else CHECK((double)f >= half_value(h) && (double)f <= half_value(h) && u >> 31 == h >> 15);
    }
    CHECK_MSG(hash == HALVES_HASH, "numbers are read as %08lx%08lx on this machine", (unsigned long)(hash >> 32), (unsigned long)(hash & 0xffffffffu));
-   CHECK(dn_kernel_name() && dn_kernel_name()[0]);
+   CHECK(dn_kernel_name(DN_KERNEL_AUTO) && dn_kernel_name(DN_KERNEL_AUTO)[0]);
    { /* a network evaluated here in double from its file: whatever the machine, its arithmetic, its char */
       unsigned char *file = tiny_mlp(&size);
       dn_error e;
       tube t;
-      dn_model *m = dn_model_load(file, size, NULL, &e);
+      dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
       dn_rig *rig;
       dn_tensors *view = NULL;
       void *memory, *scratch;
@@ -1395,6 +1434,7 @@ int main(int argc, char **argv)
    RUN(t13_odd_addresses);
    RUN(t14_weights_that_are_not_numbers);
    RUN(t15_allocations_that_fail);
+   RUN(options_of_loading);
    RUN(t15_scratch_under_a_weld_distance);
    RUN(t16_declared_sizes);
    RUN(t17_meshes);

@@ -156,7 +156,7 @@ static dn_model *model_of(const char *name, const char *frame, const char *pooli
    file = test_file(path, &size);
    if (frame && strcmp(frame, "model") != 0) overwrite(file, size, "deformnet.frame", frame);
    if (pooling && strcmp(pooling, "dynamic") != 0) overwrite(file, size, "deformnet.pooling", pooling);
-   m = dn_model_load(file, size, NULL, &e);
+   m = dn_model_load(file, size, NULL, NULL, &e);
    CHECK_MSG(m != NULL, "%s: %s", name, m ? "" : e.info);
    free(file);
    return m;
@@ -922,7 +922,7 @@ TEST(memory_of_ones_own)
       before = allocations;
       file = test_file("data/golden/multiresgnet_small.safetensors", &size);
       dn_model_free(m);
-      m = dn_model_load(file, size, &al, &e);
+      m = dn_model_load(file, size, NULL, &al, &e);
       CHECK(m != NULL);
       rig = dn_rig_create(m, &b0.desc, &al, NULL, &e);
       CHECK(rig != NULL && heap.live > 0);
@@ -947,7 +947,7 @@ TEST(a_scale_that_is_absent_is_left_out)
    dn_error e;
    body_make(&b0);
    {
-      dn_model *m = dn_model_load(file, size, NULL, &e);
+      dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
       plain = deformed(m, &b0);
       dn_model_free(m);
    }
@@ -970,7 +970,7 @@ TEST(a_scale_that_is_absent_is_left_out)
       for (i = 8, used = 0; i + length < size; i++)
          if (memcmp(renamed + i, scales[k].name, length) == 0) memcpy(renamed + i, scales[k].other, length), used++;
       CHECK(used == 1);
-      m[0] = dn_model_load(neutral, size, NULL, &e), m[1] = dn_model_load(renamed, size, NULL, &e);
+      m[0] = dn_model_load(neutral, size, NULL, NULL, &e), m[1] = dn_model_load(renamed, size, NULL, NULL, &e);
       CHECK_MSG(m[0] && m[1], "without %s: %s", name, e.info);
       r[0] = deformed(m[0], &b0), r[1] = deformed(m[1], &b0);
       CHECK_MSG(m[0] && m[1] && differing(r[0], r[1], BODY_V) == 0, "without %s: not as with a neutral one", name);

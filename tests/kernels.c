@@ -687,17 +687,19 @@ TEST(bits_do_not_depend_on_the_split)
 }
 TEST(the_kernel_named_is_the_one_packed)
 {
-   static const char *const names[] = { "reference", "sse", "avx2", "avx512", "neon", "wasm" };
+   static const char *const names[] = { "automatic", "reference", "sse", "avx2", "avx512", "neon", "wasm" };
    static const float w[] = { 1 };
    void *memory = test_aligned(dn_linear_size(1, 1));
    dn_linear l;
    dn_linear_pack(&l, 1, 1, w, NULL, NULL, DN_ACT_NONE, memory);
    CHECK(dn_kernel_available(DN_KERNEL_REF) && dn_kernel_available(l.kernel));
-   CHECK(strcmp(dn_kernel_name(), names[l.kernel]) == 0);
+   CHECK(!dn_kernel_available(DN_KERNEL_AUTO) && !dn_kernel_available(DN_KERNEL_COUNT));
+   CHECK(strcmp(dn_kernel_name(DN_KERNEL_AUTO), names[l.kernel]) == 0 && strcmp(dn_kernel_name(l.kernel), names[l.kernel]) == 0);
+   CHECK(strcmp(dn_kernel_name(DN_KERNEL_COUNT), "unknown") == 0 && strcmp(dn_precision_name(DN_PRECISION_COUNT), "unknown") == 0);
 #ifdef DN_NO_SIMD
    CHECK(l.kernel == DN_KERNEL_REF);
 #endif
-   printf("   packing chooses %s\n", dn_kernel_name());
+   printf("   packing chooses %s\n", dn_kernel_name(DN_KERNEL_AUTO));
    test_aligned_free(memory);
 }
 

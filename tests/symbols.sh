@@ -146,7 +146,7 @@ int main(void)
    size_t size;
    unsigned char *file = tiny_mlp(&size); /* its widest side is 6 */
    dn_error e;
-   dn_model *m = dn_model_load(file, size, NULL, &e);
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
    int refused = !m && e.code == DN_BAD_SHAPE;
    dn_model_free(m);
    free(file);

@@ -91,7 +91,7 @@ static void bind(bench *b)
    dn_skin_set skin;
    b->file = ex_tensors_open(b->case_path, error);
    if (!b->file) fail(b->case_path, error);
-   b->model = dn_model_load_file(b->model_path, NULL, &err);
+   b->model = dn_model_load_file(b->model_path, NULL, NULL, &err);
    if (!b->model) fail(b->model_path, err.info);
    dn_model_describe(b->model, &info);
    memset(&d, 0, sizeof d);
@@ -248,7 +248,7 @@ static void write_case(bench *b, const char *path)
 static void serve(bench *b)
 {
    char line[32];
-   printf("ready %s\n", dn_kernel_name());
+   printf("ready %s\n", dn_kernel_name(DN_KERNEL_AUTO));
    fflush(stdout);
    while (fgets(line, sizeof line, stdin)) {
       if (strcmp(line, "prepare\n") == 0) {

@@ -330,7 +330,7 @@ API dnt_deformer *dnt_deformer_new(const char *path, const float *positions, siz
    desc.geodesic = geodesic, desc.geodesic_nodes = geodesic_nodes;
    desc.parallel = &parallel;
    d->vertices = vertices;
-   if (path) d->model = dn_model_load_file(path, NULL, &err);
+   if (path) d->model = dn_model_load_file(path, NULL, NULL, &err);
    if (!path || d->model) d->rig = dn_rig_create(d->model, &desc, NULL, NULL, &err);
    if (d->rig) {
       d->scratch_bytes = dn_scratch_size(d->rig, parallel.workers);
