@@ -18,7 +18,7 @@ gltf= objects=
 if echo '#include <tiny_gltf.h>' | $cxx -x c++ -E - > /dev/null 2>&1; then gltf=-DEX_TINYGLTF; fi
 rig=${RIG:-$dir/rig}
 if [[ -z ${RIG:-} ]]; then
-   for f in rig common/glb common/mesh common/picture common/pool common/retarget common/scene common/tensors; do
+   for f in rig common/glb common/mesh common/picture common/pool common/retarget common/scene common/tensors common/tool; do
       ok "$f.c builds without a warning" $cc $W -D_POSIX_C_SOURCE=200809L $gltf -c "$examples/$f.c" -o "$dir/${f##*/}.o"
       objects+=" $dir/${f##*/}.o"
    done

@@ -16,7 +16,7 @@ gltf= objects=
 if echo '#include <tiny_gltf.h>' | $cxx -x c++ -E - > /dev/null 2>&1; then gltf=-DEX_TINYGLTF; fi
 wardrobe=${WARDROBE:-$dir/wardrobe}
 if [[ -z ${WARDROBE:-} ]]; then
-   for f in wardrobe common/glb common/mesh common/picture common/pool common/scene common/tensors; do
+   for f in wardrobe common/glb common/mesh common/picture common/pool common/scene common/tensors common/tool; do
       ok "$f.c builds without a warning" $cc $W -D_POSIX_C_SOURCE=200809L $gltf -c "$examples/$f.c" -o "$dir/${f##*/}.o"
       objects+=" $dir/${f##*/}.o"
    done
