@@ -257,6 +257,13 @@ typedef struct dn_skeleton {
 
 typedef enum dn_skinning { DN_LBS, DN_DQS } dn_skinning;
 
+typedef enum dn_order {       /* how bind numbers the nodes */
+   DN_ORDER_GIVEN,            /* by first appearance in the mesh, as the spec says */
+   DN_ORDER_NEAR              /* neighbours near one another: less scratch, less time where the mesh's own order jumps
+                                 about. Attention then adds a node's neighbours in another order: results differ by
+                                 rounding, and dynamic pooling breaks ties of scores otherwise */
+} dn_order;
+
 typedef struct dn_rig_desc {   /* borrowed during bind only */
    dn_mesh mesh;
    dn_skeleton skeleton;
@@ -264,7 +271,9 @@ typedef struct dn_rig_desc {   /* borrowed during bind only */
    dn_kernel kernel;           /* of the skinning; automatic: the model's, or the fastest here */
    float weld_distance;        /* vertices at most this far apart at rest may weld; 0: equal positions */
    unsigned resolution;        /* voxels along the longest side for geodesic distance; 0: 128, at most 512 */
-   const float *geodesic;      /* (N,S_model) known distances in node and model joint order, or NULL: compute */
+   dn_order order;             /* of the nodes in the view and the probe; the caller's vertices keep theirs */
+   const float *geodesic;      /* (N,S_model) known distances, or NULL: compute. Joints as in the model; nodes by first
+                                  appearance whatever `order` says, which is by rising first_vertex of the view */
    size_t geodesic_nodes;      /* N of that array, checked */
    const dn_parallel *parallel;
    const dn_progress *progress;
@@ -2436,6 +2445,59 @@ static size_t dn__graph_components(const dn_graph *g, uint32_t *label, uint32_t 
       count++;
    }
    return count;
+}
+
+/* --- an order of the nodes in which neighbours are near: level by level from one end of each component to the other
+   (Cuthill & McKee 1969). The end is found by walking to a far node and on from there while that
+   takes more levels (Gibbs, Poole, Stockmeyer 1976). */
+static size_t dn__graph_bandwidth(const dn_graph *g) /* the largest |i - j| over all edges */
+{
+   size_t i, most = 0;
+   for (i = 0; i < g->nodes; i++) {
+      uint32_t from = g->first[i], to = g->first[i + 1];
+      if (from < to) most = dn__max(most, dn__max(i, g->next[to - 1]) - dn__min(i, g->next[from])); /* ascending */
+   }
+   return most;
+}
+/* floods from `root`: its component to order, level by level; mark of what was met becomes `now`. Returns how many nodes,
+   the number of levels, and where the last one starts */
+static size_t dn__levels(const dn_graph *g, uint32_t root, uint32_t *order, uint32_t *mark, uint32_t now, size_t *levels,
+                         size_t *last)
+{
+   size_t head = 0, tail = 1, end;
+   order[0] = root;
+   mark[root] = now;
+   for (*levels = 0; head < tail; ++*levels)
+      for (*last = head, end = tail; head < end; head++) {
+         uint32_t n = order[head], e;
+         for (e = g->first[n]; e < g->first[n + 1]; e++)
+            if (mark[g->next[e]] != now) mark[g->next[e]] = now, order[tail++] = g->next[e];
+      }
+   return tail;
+}
+/* place (N): node i becomes place[i]; order (N): scratch */
+static void dn__graph_near(const dn_graph *g, uint32_t *place, uint32_t *order)
+{
+   enum { WALKS = 6 }; /* longer ones gained nothing on any character; a hostile mesh must not ask for N of them */
+   size_t i, at = 0, count, levels, more, last, k;
+   uint32_t now = 0, *mark = place;
+   memset(mark, 0, g->nodes * sizeof *mark);
+   for (i = 0; i < g->nodes; i++) {
+      uint32_t end;
+      if (mark[i]) continue;
+      count = dn__levels(g, (uint32_t)i, order + at, mark, ++now, &levels, &last);
+      for (k = 0; k < WALKS && count > 1; k++) { /* on from the node of fewest neighbours in the last level */
+         uint32_t *l = order + at + last;
+         size_t n, few = SIZE_MAX;
+         for (end = *l, n = 0; n < count - last; n++)
+            if (g->first[l[n] + 1] - g->first[l[n]] < few) end = l[n], few = g->first[end + 1] - g->first[end];
+         dn__levels(g, end, order + at, mark, ++now, &more, &last);
+         if (more <= levels) break;
+         levels = more;
+      }
+      at += count;
+   }
+   for (i = 0; i < g->nodes; i++) place[order[i]] = (uint32_t)i;
 }
 
 /* --- normals: n_i = sum over the triangles at i of (b - a) x (c - a), made unit. The cross product is twice the
@@ -7371,6 +7433,7 @@ struct dn_rig {
    const dn_allocator *allocator_used; /* NULL: DN_MALLOC, or &allocator */
    int owned;
    size_t bytes;
+   size_t bandwidth;              /* the largest |i - j| over the edges of the graph */
    uint32_t root;                 /* the character's joint that is the model's joint 0 */
    const uint32_t *fold;          /* (S) joint that the network sees in place of joint s, or NULL: itself */
    const uint32_t *corner_first, *corner_tri; /* triangles at each node, for the normals */
@@ -7395,6 +7458,7 @@ typedef struct dn__bind { /* bind's scratch: the mesh in the library's own form 
    uint32_t *first_vertex;        /* (V), N used */
    uint32_t *triangle;            /* (T,3) node indices; the first `kept` have three different nodes once welded */
    uint32_t *first, *next;        /* one-rings */
+   size_t bandwidth;              /* the largest |i - j| over all edges */
    void *work;                    /* scratch of one step at a time */
    size_t work_bytes;
 } dn__bind;
@@ -7497,6 +7561,7 @@ static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_
                             DN_MAX_DIM, NULL);
    DN_ASSERT(m->positions && (bare || m->skin) && (m->triangles == 0 || m->indices));
    DN_ASSERT(m->triangles == 0 || m->index_type == DN_U16 || m->index_type == DN_U32);
+   DN_ASSERT(desc->order == DN_ORDER_GIVEN || desc->order == DN_ORDER_NEAR);
    for (s = 0; !bare && s < m->skin_sets; s++) {
       if (m->skin[s].influences == 0) continue;
       DN_ASSERT(m->skin[s].joints && m->skin[s].weights);
@@ -7695,6 +7760,17 @@ static void dn__bind_drop_degenerate(dn__bind *b) /* after the graph has their p
       b->kept++;
    }
 }
+/* renumbers the welded nodes so that neighbours are near: everything that is made after this is in that order */
+static void dn__bind_order(dn__bind *b, const dn_graph *g)
+{
+   uint32_t *place = (uint32_t *)b->work, *first_vertex = place + b->nodes; /* (N) each */
+   size_t i;
+   dn__graph_near(g, place, first_vertex);
+   memcpy(first_vertex, b->first_vertex, b->nodes * sizeof *first_vertex);
+   for (i = 0; i < b->nodes; i++) b->first_vertex[place[i]] = first_vertex[i];
+   for (i = 0; i < b->vertices; i++) b->node_of_vertex[i] = place[b->node_of_vertex[i]];
+   for (i = 0; i < 3 * b->triangles; i++) b->triangle[i] = place[b->triangle[i]];
+}
 static dn_result dn__bind_prepare(dn__bind *b)
 {
    dn_graph g;
@@ -7709,7 +7785,14 @@ static dn_result dn__bind_prepare(dn__bind *b)
    if (dn__step(b, "graph", 0.0f)) return dn__cancelled(b);
    if (dn__graph_build(b->triangle, b->triangles, b->nodes, b->first, b->next, &g, b->work, b->desc->progress))
       return dn__cancelled(b);
+   if (b->desc->order == DN_ORDER_NEAR) {
+      if (dn__step(b, "order", 0.0f)) return dn__cancelled(b);
+      dn__bind_order(b, &g);
+      if (dn__graph_build(b->triangle, b->triangles, b->nodes, b->first, b->next, &g, b->work, b->desc->progress))
+         return dn__cancelled(b);
+   }
    b->neighbours = b->first[b->nodes];
+   b->bandwidth = dn__graph_bandwidth(&g);
    dn__bind_drop_degenerate(b);
    b->report.vertices = b->vertices;
    b->report.nodes = b->nodes;
@@ -7799,7 +7882,7 @@ static dn_result dn__bind_geodesic(dn__bind *b, const dn_rig *r, float *geodesic
 {
    dn_result result;
    if (b->desc->geodesic) {
-      size_t i, n = b->nodes * b->model_joints;
+      size_t i, v, n = b->nodes * b->model_joints;
       if (b->desc->geodesic_nodes != b->nodes)
          return dn__fail_sizes(b->err, DN_BAD_SHAPE, b->where, SIZE_MAX, "geodesic: ", b->desc->geodesic_nodes,
                                " nodes given, the mesh has ", b->nodes, NULL);
@@ -7807,7 +7890,12 @@ static dn_result dn__bind_geodesic(dn__bind *b, const dn_rig *r, float *geodesic
          if (!dn__finite(b->desc->geodesic[i]))
             return dn__bind_fail(b, DN_BAD_VALUE, "geodesic: node ", i / b->model_joints,
                                  " has a distance that is not finite");
-      memcpy(geodesic, b->desc->geodesic, n * sizeof *geodesic);
+      for (v = 0, i = 0; v < b->vertices; v++) { /* the i-th vertex that starts a node brings row i */
+         size_t node = r->view.node_of_vertex[v];
+         if (r->view.first_vertex[node] != v) continue;
+         memcpy(geodesic + node * b->model_joints, b->desc->geodesic + i++ * b->model_joints,
+                b->model_joints * sizeof *geodesic);
+      }
       return DN_OK;
    }
    result = dn_geodesic(r->view.rest, b->nodes, r->view.triangle, b->kept, r->view.joint_rest, b->model_joints,
@@ -7826,6 +7914,7 @@ static dn_result dn__bind_finish(dn__bind *b, dn_rig *r)
    dn_result result;
    r->model = b->model;
    r->skinning = b->desc->skinning;
+   r->bandwidth = b->bandwidth;
    r->kernel = b->desc->kernel != DN_KERNEL_AUTO ? b->desc->kernel : b->model ? b->model->info.kernel : dn__kernel_best();
    v->vertices = V;
    v->nodes = v->graph.nodes = N;

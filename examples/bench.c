@@ -328,6 +328,7 @@ static void made_desc(const ex_made *made, dn_rig_desc *d, dn_skin_set *skin, co
    d->skeleton.joints = made->joints, d->skeleton.inverse_bind = made->inverse_bind;
    d->skeleton.names = info ? info->joint_names : NULL;
    d->geodesic = made->geodesic, d->geodesic_nodes = made->vertices;
+   d->order = DN_ORDER_NEAR;
 }
 static void subject_ready(subject *s, const bench *b)
 {

@@ -304,11 +304,12 @@ TEST(order_of_vertices_and_triangles)
       result *a = deformed(m, &b0), *c;
       double worst = 0;
       int pass;
-      for (pass = 0; pass < 2; pass++) { /* triangles alone, then vertices too */
+      for (pass = 0; pass < 3; pass++) { /* triangles alone, then vertices too, then with the nodes in another order */
          b1 = b0;
          b1.desc.mesh.skin = &b1.skin;
          b1.desc.mesh.positions = b1.positions, b1.desc.mesh.indices = b1.indices;
          b1.skin.joints = b1.joints, b1.skin.weights = b1.weights;
+         b1.desc.order = pass == 2 ? DN_ORDER_NEAR : DN_ORDER_GIVEN;
          shuffle(triangle, BODY_T, &seed);
          if (pass) shuffle(vertex, BODY_V, &seed);
          else
@@ -341,7 +342,76 @@ TEST(order_of_vertices_and_triangles)
       free(a);
       dn_model_free(m);
    }
-   AT_LEAST(compared, 2 * MODELS * BODY_V * 3, "coordinates");
+   AT_LEAST(compared, 3 * MODELS * BODY_V * 3, "coordinates");
+}
+
+static size_t reach(const dn_graph *g) /* the largest |i - j| over the edges */
+{
+   size_t i, e, most = 0;
+   for (i = 0; i < g->nodes; i++)
+      for (e = g->first[i]; e < g->first[i + 1]; e++) {
+         size_t j = g->next[e], d = i > j ? i - j : j - i;
+         most = d > most ? d : most;
+      }
+   return most;
+}
+TEST(near_order_is_the_same_graph_in_another_order)
+{
+   static uint32_t vertex[BODY_V];
+   static float odd[BODY_N * BODY_S];
+   dn_model *m = model_of("densegats_small", "model", NULL);
+   dn_rig *given, *near, *known;
+   dn_rig_view g, n, q;
+   dn_error e;
+   uint64_t seed = 3;
+   size_t v, i, j, edges = 0, same = 0, rows = 0, seen = 0;
+   body_make(&b0);
+   b1 = b0;
+   b1.desc.mesh.skin = &b1.skin, b1.desc.mesh.positions = b1.positions, b1.desc.mesh.indices = b1.indices;
+   b1.skin.joints = b1.joints, b1.skin.weights = b1.weights;
+   shuffle(vertex, BODY_V, &seed);
+   for (v = 0; v < BODY_V; v++) {
+      memcpy(b1.positions + 3 * vertex[v], b0.positions + 3 * v, 12);
+      memcpy(b1.joints + BODY_I * vertex[v], b0.joints + BODY_I * v, BODY_I * 4);
+      memcpy(b1.weights + BODY_I * vertex[v], b0.weights + BODY_I * v, BODY_I * 4);
+   }
+   for (i = 0; i < 3 * BODY_T; i++) b1.indices[i] = vertex[b0.indices[i]];
+   given = dn_rig_create(m, &b1.desc, NULL, NULL, &e);
+   b1.desc.order = DN_ORDER_NEAR;
+   near = dn_rig_create(m, &b1.desc, NULL, NULL, &e);
+   for (i = 0; i < BODY_N * BODY_S; i++) odd[i] = (float)i; /* known distances come in the given order all the same */
+   b1.desc.geodesic = odd, b1.desc.geodesic_nodes = BODY_N;
+   known = dn_rig_create(m, &b1.desc, NULL, NULL, &e);
+   CHECK(given && near && known);
+   dn_rig_describe(given, &g);
+   dn_rig_describe(near, &n);
+   dn_rig_describe(known, &q);
+   CHECK(g.nodes == n.nodes && g.graph.first[g.nodes] == n.graph.first[n.nodes] && g.triangles == n.triangles);
+   CHECK_MSG(reach(&g.graph) > BODY_N / 2, "%lu", (unsigned long)reach(&g.graph)); /* so the next can fail */
+   CHECK_MSG(reach(&n.graph) < 3 * AROUND, "%lu", (unsigned long)reach(&n.graph));
+   for (v = 0; v < BODY_V; v++) CHECK(g.first_vertex[g.node_of_vertex[v]] == n.first_vertex[n.node_of_vertex[v]]);
+   for (i = 0; i < g.nodes; i++) {
+      size_t to = n.node_of_vertex[g.first_vertex[i]];
+      CHECK(g.graph.first[i + 1] - g.graph.first[i] == n.graph.first[to + 1] - n.graph.first[to]);
+      for (j = n.graph.first[to]; j < n.graph.first[to + 1]; j++, edges++) {
+         size_t back = g.node_of_vertex[n.first_vertex[n.graph.next[j]]], k;
+         for (k = g.graph.first[i]; k < g.graph.first[i + 1] && g.graph.next[k] != back; k++) {}
+         CHECK(k < g.graph.first[i + 1]);
+         CHECK(j == n.graph.first[to] || n.graph.next[j] > n.graph.next[j - 1]);
+      }
+      rows += memcmp(n.rest + 3 * to, g.rest + 3 * i, 12) == 0;
+      same += memcmp(q.geodesic + BODY_S * to, odd + BODY_S * i, BODY_S * 4) == 0;
+      seen += to != i;
+      for (j = 0; j < BODY_S; j++)
+         CHECK(fabs((double)n.geodesic[BODY_S * to + j] - (double)g.geodesic[BODY_S * i + j]) <= 1e-5);
+   }
+   CHECK(rows == BODY_N && same == BODY_N);
+   AT_LEAST(seen, BODY_N / 2, "nodes that moved");
+   AT_LEAST(edges, 6 * BODY_N - 12, "directed edges");
+   dn_rig_free(given);
+   dn_rig_free(near);
+   dn_rig_free(known);
+   dn_model_free(m);
 }
 
 TEST(seams_stay_closed)
@@ -1024,6 +1094,7 @@ int main(int argc, char **argv)
    TEST_BEGIN(argc, argv);
    RUN(turning_the_character_turns_the_result);
    RUN(order_of_vertices_and_triangles);
+   RUN(near_order_is_the_same_graph_in_another_order);
    RUN(seams_stay_closed);
    RUN(any_number_of_threads_gives_the_same_bits);
    RUN(strength_and_mask);

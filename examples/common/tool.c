@@ -113,4 +113,5 @@ void ex_describe(const ex_scene *s, dn_rig_desc *d, dn_skin_set *skin)
    d->skeleton.parents = s->parents;
    d->skeleton.inverse_bind = s->inverse_bind;
    d->skeleton.matrix = DN_3X4_ROWS;
+   d->order = DN_ORDER_NEAR; /* results stand by vertex all the same */
 }
