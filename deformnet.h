@@ -407,7 +407,8 @@ typedef struct dn_probe { /* sees every block's output by tensor name: "pre.0" (
     dn_deform is exactly these four.
 
     skin       palette -> skinned vertices (T 2.1, T 2.2); the one that checks scratch_bytes: go on only after DN_OK
-    rows       -> rows (N,D) of the descriptors, in the network's frame (spec section 3)
+    rows       -> the descriptors that the pose changes, in the network's frame (spec section 3). What the geodesic
+               columns add to the first layer was computed when the rig was bound: dn_rows gives complete rows
     network    -> displacement (N,3) in model space; nodes that are not finite get 0. probe: NULL, or it sees the
                blocks, called on this thread
     output     -> the caller's arrays; returns as dn_deform
@@ -418,9 +419,11 @@ DN_API void dn_stage_rows(const dn_rig *rig, void *scratch, const dn_parallel *p
 DN_API void dn_stage_network(const dn_rig *rig, void *scratch, const dn_parallel *parallel, const dn_probe *probe);
 DN_API dn_result dn_stage_output(const dn_rig *rig, const dn_pose *pose, dn_output *out, void *scratch,
                                  const dn_parallel *parallel, dn_error *err);
+/*  rows (N,D) written: every descriptor in the order of deformnet.features, not normalised. For tools, tests and training:
+    no frame needs them. Between dn_stage_rows and dn_stage_network of a rig with a model; re-entrant, cannot fail */
+DN_API void dn_rows(const dn_rig *rig, const void *scratch, float *rows);
 /*  what the stages left in scratch, per node; 64-byte aligned, valid until the next call that uses the scratch */
 DN_API const float *dn_scratch_coarse(const dn_rig *rig, const void *scratch);       /* (N,3) skinned */
-DN_API const float *dn_scratch_rows(const dn_rig *rig, const void *scratch);         /* (N,D); dn_stage_network normalises them */
 DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scratch); /* (N,3) posed, model space */
 
 /* ===================================================================================== >>layers
@@ -446,6 +449,7 @@ typedef struct dn_linear {  /* y = act(bn(W x + b)) */
    const float *panels;     /* (ceil(out/16), in, 16) */
    const float *columns;    /* (ceil(out/16), 5, 16) bias and batch norm: y = act((W x + start) scale + shift), zero
                                padded; NULL: y = act(W x) */
+   const float *add;        /* (rows,out), packed, or NULL: added to each row after the batch norm, before the activation */
    dn_kernel kernel;
 } dn_linear;
 /*  bytes for dn_linear_pack; 0 when a size is 0 or the product does not fit */
@@ -4041,7 +4045,7 @@ static void dn__softmax(float *row, size_t count) /* softmax_c = exp(x_c - max) 
    for (c = 0; c < count; c++) row[c] /= sum;
 }
 
-/* y_ro = act(bn( sum_c x_rc W_oc + b_o )), rows begin to end - 1, with bn(u) = (u - mean) scale + shift. A column has
+/* y_ro = act(bn( sum_c x_rc W_oc + b_o ) + add_ro), rows begin to end - 1, with bn(u) = (u - mean) scale + shift. A column has
    five numbers (none, columns == NULL: the plain sum):
 
         start, start_rest    b - mean, as two floats
@@ -4069,7 +4073,9 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
             shift = (double)n[4 * DN_PANEL];
          }
          for (c = 0; c < l->in; c++) sum += (double)row[c] * (double)w[c * DN_PANEL];
-         to[o] = dn__activate(dn__narrow(sum * scale + shift), l->activation);
+         sum = sum * scale + shift;
+         if (l->add) sum += (double)l->add[r * l->out + o];
+         to[o] = dn__activate(dn__narrow(sum), l->activation);
       }
       if (l->activation == DN_ACT_SOFTMAX) dn__softmax(to, l->out);
    }
@@ -4777,7 +4783,7 @@ DN_API const char *dn_precision_name(dn_precision precision)
    return (unsigned)precision < (unsigned)DN_PRECISION_COUNT ? names[precision] : "unknown";
 }
 
-/* y = act(bn(x W^T + b)), rows begin to end - 1, in tiles. A last tile that would stick out is moved back over rows
+/* y = act(bn(x W^T + b) + add), rows begin to end - 1, in tiles. A last tile that would stick out is moved back over rows
    already done, whose bits it repeats; fewer rows than a tile go one by one. A last panel that sticks out past `out`
    goes through a buffer. Rows outside, panels inside: a tile's rows of x stay in the first-level cache while the
    weights stream from the second. */
@@ -4787,7 +4793,7 @@ static void dn__product(const dn_linear *l, const float *x, size_t x_stride, flo
    enum { ROWS = 14 }; /* the highest tile */
    const dn__kernel *k = dn__kernel_of(l->kernel);
    float buffer[ROWS * DN_PANEL], total[ROWS * DN_PANEL];
-   size_t all = (l->out + DN_PANEL - 1) / DN_PANEL, r, p, rows, i;
+   size_t all = (l->out + DN_PANEL - 1) / DN_PANEL, r, p, rows, i, c;
    if (!k) {
       dn__product_ref(l, x, x_stride, y, y_stride, begin, end);
       return;
@@ -4803,6 +4809,8 @@ static void dn__product(const dn_linear *l, const float *x, size_t x_stride, flo
          if (fit < DN_PANEL) to = buffer, to_stride = DN_PANEL;
          if (rows == 1) k->row(from, l->in, w, n, to);
          else k->tile(from, x_stride, l->in, w, n, total, to, to_stride);
+         for (i = 0; l->add && i < rows; i++)
+            for (c = 0; c < fit; c++) to[i * to_stride + c] += l->add[(r + i) * l->out + p * DN_PANEL + c];
          if (l->activation != DN_ACT_NONE && l->activation != DN_ACT_SOFTMAX)
             k->activate(to, to_stride, rows, DN_PANEL, l->activation);
          for (i = 0; fit < DN_PANEL && i < rows; i++)
@@ -4874,6 +4882,7 @@ DN_API void dn_linear_pack(dn_linear *layer, size_t in, size_t out, const float 
    layer->activation = activation;
    layer->panels = panels;
    layer->columns = columns;
+   layer->add = NULL;
    layer->kernel = dn__kernel_best();
 }
 DN_API void dn_linear_ref(const dn_linear *layer, const float *x, size_t x_stride, size_t rows, float *y,
@@ -5217,6 +5226,7 @@ static dn_linear dn__gat_z(const dn_gat *b)
    l.activation = DN_ACT_NONE;
    l.panels = b->panels;
    l.columns = b->columns;
+   l.add = NULL;
    l.kernel = b->kernel;
    return l;
 }
@@ -6046,8 +6056,9 @@ struct dn__blend_net;
 typedef struct dn__stage { /* what goes into a network and comes out; clothnet is two */
    dn_feature features[DN__MAX_FEATURES];
    size_t feature_count, row_width;
+   size_t bound_width;                     /* columns of the row that no pose changes, kept out of the frame: dn_model.bound */
    size_t fit;                             /* n of fit:n */
-   const float *input_mean, *input_std;    /* (D); NULL when absent */
+   const float *input_mean, *input_std;    /* (D), in the order of dn__place; NULL when absent */
    float output_mean[3], output_std[3];
 } dn__stage;
 typedef struct dn__branch { /* blocks around a pool, and the layers after them */
@@ -6066,6 +6077,7 @@ struct dn_model {
    int owned;                     /* made by dn_model_load: dn_model_free gives the memory back */
    size_t block_count;
    dn__block *blocks;             /* in run order */
+   dn_linear bound;               /* what the bound columns add to the first block: bn(W x + b), out of its packing */
    size_t chain[3];               /* baselines: how many pre, gat and post blocks */
    dn_gat *dense;                 /* densegats 3 x 6, multiresgnet 2, garfitnet 2 x 4: copies in rows for dn_dense_run */
    struct dn__blend_net *blend;   /* neuralblendshapes */
@@ -6231,6 +6243,73 @@ static dn__block *dn__next_block(dn__loader *l, const char *name, dn__kind kind,
    l->temp.used = 0;
    return b;
 }
+/* --- rows. The first layer is linear in its row, so that what the pose-independent columns add to it is known when a
+   character is bound (dn__bind_start): a frame's rows hold the live columns only. */
+static int dn__per_joint(dn_feature f) { return f == DN_GEODESIC || f == DN_DISTANCE; }
+/* how many joints the per-joint features of such a row have, 0 when there are none or the features do not make it up */
+static size_t dn__row_joints(const dn__stage *s, size_t row_width, size_t *narrow, size_t *wide)
+{
+   size_t i;
+   *narrow = *wide = 0;
+   for (i = 0; i < s->feature_count; i++) {
+      if (dn__per_joint(s->features[i])) ++*wide;
+      else *narrow += s->features[i] == DN_FIT ? s->fit : 3;
+   }
+   return *wide && row_width > *narrow && (row_width - *narrow) % *wide == 0 ? (row_width - *narrow) / *wide : 0;
+}
+static size_t dn__live_width(const dn__stage *s) { return s->row_width - s->bound_width; }
+/* where a column of the row stands once the live columns come first, then the bound ones */
+static size_t dn__place(const dn__stage *s, size_t column)
+{
+   size_t narrow, wide, k, live = 0, bound = dn__live_width(s);
+   size_t joints = dn__row_joints(s, s->row_width, &narrow, &wide);
+   if (!s->bound_width) return column;
+   for (k = 0; k < s->feature_count; k++) {
+      size_t width = dn__per_joint(s->features[k]) ? joints : s->features[k] == DN_FIT ? s->fit : 3;
+      size_t *at = s->features[k] == DN_GEODESIC ? &bound : &live;
+      if (column < width) return *at + column;
+      column -= width;
+      *at += width;
+   }
+   return column;
+}
+/* Is the block about to be added the first one, on rows of `width` with bound and live columns? A row of nothing but
+   geodesic distances stays as it is. */
+static int dn__splits(dn__loader *l, size_t width)
+{
+   dn__stage *s = &l->model->stage[0];
+   size_t narrow, wide, k, joints = dn__row_joints(s, width, &narrow, &wide), bound = 0;
+   if (l->model->block_count != 1) return 0; /* counted already */
+   for (k = 0; k < s->feature_count; k++) bound += s->features[k] == DN_GEODESIC ? joints : 0;
+   if (bound == 0 || bound == width) return 0;
+   s->row_width = width;
+   s->bound_width = bound;
+   return 1;
+}
+/* the first layer: y = act(bn(W_live x_live) + start), start = bn(W_bound x_bound + b); bn's shift goes with start */
+static void dn__pack_first(dn__loader *l, dn__block *b, const float *weight, const float *bias, const dn_batchnorm *bn,
+                           dn_activation act)
+{
+   const dn__stage *s = &l->model->stage[0];
+   size_t live = dn__live_width(s), o, c, all = dn__mul(b->out, s->row_width);
+   float *part = (float *)dn__take(&l->temp, all, sizeof(float)); /* (out,live), then (out,bound) */
+   float *zeros = (float *)dn__take(&l->temp, b->out, sizeof(float));
+   void *memory = dn__take(&l->memory, dn_linear_size(live, b->out), 1);
+   void *bound_memory = dn__take(&l->memory, dn_linear_size(s->bound_width, b->out), 1);
+   dn_batchnorm scale;
+   l->temp_peak = dn__max(l->temp_peak, l->temp.used);
+   b->in = live;
+   if (!l->packing || l->failed) return;
+   for (c = 0; c < s->row_width; c++) {
+      size_t place = dn__place(s, c);
+      float *to = place < live ? part + place : part + b->out * live + (place - live);
+      for (o = 0; o < b->out; o++) to[o * (place < live ? live : s->bound_width)] = weight[o * s->row_width + c];
+   }
+   memset(zeros, 0, b->out * sizeof *zeros);
+   if (bn) scale = *bn, scale.bias = scale.mean = zeros;
+   dn_linear_pack(&b->linear, live, b->out, part, NULL, bn ? &scale : NULL, act, memory);
+   dn_linear_pack(&l->model->bound, s->bound_width, b->out, part + b->out * live, bias, bn, DN_ACT_NONE, bound_memory);
+}
 /* A linear layer by name; in = 0 takes whatever width the file has. Returns its output width. */
 static size_t dn__add_linear(dn__loader *l, const char *name, size_t *in, size_t out, dn_activation act)
 {
@@ -6252,6 +6331,10 @@ static size_t dn__add_linear(dn__loader *l, const char *name, size_t *in, size_t
    dn__join(full, sizeof full, name, ".bias");
    if (dn_tensors_find(l->file, full)) bias = dn__floats(l, dn__want(l, full, 1, b->out, 0));
    has_bn = dn__batchnorm(l, name, b->out, &bn);
+   if (dn__splits(l, b->in)) {
+      dn__pack_first(l, b, weight, bias, has_bn ? &bn : NULL, act);
+      return b->out;
+   }
    memory = dn__take(&l->memory, dn_linear_size(b->in, b->out), 1);
    if (l->packing && !l->failed) {
       dn_linear_pack(&b->linear, b->in, b->out, weight, bias, has_bn ? &bn : NULL, act, memory);
@@ -6568,14 +6651,8 @@ static size_t dn__load_joint_names(dn__loader *l)
    or what another stage found, 0: not known. Returns the number of joints. */
 static size_t dn__load_joints(dn__loader *l, const dn__stage *stage, const char *key, size_t joints)
 {
-   size_t narrow = 0, wide = 0, i, found = joints;
-   for (i = 0; i < stage->feature_count; i++) {
-      if (stage->features[i] == DN_GEODESIC || stage->features[i] == DN_DISTANCE) wide++;
-      else narrow += stage->features[i] == DN_FIT ? stage->fit : 3;
-   }
-   if (wide)
-      found = stage->row_width > narrow && (stage->row_width - narrow) % wide == 0
-         ? (stage->row_width - narrow) / wide : 0;
+   size_t narrow, wide, found = dn__row_joints(stage, stage->row_width, &narrow, &wide);
+   if (!wide) found = joints;
    if (wide ? found == 0 || (joints && found != joints) : stage->row_width != narrow) {
       char line[160];
       dn__text t = dn__text_of(line, sizeof line);
@@ -6622,9 +6699,10 @@ static void dn__load_scales(dn__loader *l, dn__stage *stage, const char *prefix)
       kept_std = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
       if (l->packing && !l->failed) {
          for (i = 0; i < stage->row_width; i++) {
-            kept_mean[i] = mean ? mean[i] : 0.0f;
-            kept_std[i] = std ? std[i] : 1.0f;
-            if (!dn__finite(1.0f / kept_std[i])) {
+            size_t place = dn__place(stage, i);
+            kept_mean[place] = mean ? mean[i] : 0.0f;
+            kept_std[place] = std ? std[i] : 1.0f;
+            if (!dn__finite(1.0f / kept_std[place])) {
                char text[80];
                dn__number(text, sizeof text, ": element ", i, " is zero or too small to divide by");
                dn__load_fail(l, DN_BAD_VALUE, std_name, text);
@@ -6962,6 +7040,7 @@ typedef struct dn__run { /* what every runner needs at hand */
    const dn__stage *stage;
    const dn_graph *g;
    const dn__net *n;
+   const float *start;   /* (N, width of the first block) what the bound columns add to it, or NULL */
    const dn_parallel *par;
    const dn_probe *probe;
    dn_clusters *found;   /* (branches) or NULL. Bind's search: run up to the pools only, contractions go here */
@@ -6975,8 +7054,11 @@ static void dn__tap(const dn__run *r, const char *name, const float *rows, size_
 static void dn__run_block(const dn__run *r, const dn__block *b, const dn_graph *g, const float *x, size_t x_stride,
                           float *y, size_t y_stride)
 {
-   if (b->kind == DN__LINEAR) dn_linear_run(&b->linear, x, x_stride, g->nodes, y, y_stride, r->par);
-   else dn_gat_run(&b->gat, g, x, x_stride, y, y_stride, r->n->gat, r->par);
+   if (b->kind == DN__LINEAR) {
+      dn_linear layer = b->linear;
+      if (b == r->m->blocks) layer.add = r->start;
+      dn_linear_run(&layer, x, x_stride, g->nodes, y, y_stride, r->par);
+   } else dn_gat_run(&b->gat, g, x, x_stride, y, y_stride, r->n->gat, r->par);
    dn__tap(r, b->name, y, 0, g->nodes, b->out, y_stride);
 }
 
@@ -7039,7 +7121,7 @@ static void dn__run_densegats(const dn__run *r, const float *rows, float *y)
    const dn__net *n = r->n;
    const dn__block *b = r->m->blocks;
    size_t k, width = 0, stride = n->wide_width;
-   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->side, b[0].out);
+   dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), n->side, b[0].out);
    for (k = 0; k < 3; k++) {
       const dn__block *into = &b[1 + 7 * k]; /* pre.1, transition.0, transition.1: what a dense module starts from */
       width = b[7 + 7 * k].in + b[7 + 7 * k].out;
@@ -7104,7 +7186,7 @@ static void dn__run_multiresgnet(const dn__run *r, const float *rows, float *y)
 {
    const dn__block *b = r->m->blocks;
    size_t at = r->n->wide_width - b[6].out - b[1].out;
-   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, r->n->side, b[0].out);
+   dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), r->n->side, b[0].out);
    dn__run_block(r, &b[1], r->g, r->n->side, b[0].out, r->n->wide + at, r->n->wide_width);
    dn__run_local_global(r, 0, at, y);
 }
@@ -7113,7 +7195,7 @@ static void dn__run_chain(const dn__run *r, const float *rows, float *y)
 {
    const dn__block *b = r->m->blocks;
    const float *x = rows;
-   size_t i, stride = r->stage->row_width, last = r->m->block_count - 1;
+   size_t i, stride = dn__live_width(r->stage), last = r->m->block_count - 1;
    for (i = 0; i < last; i++) {
       float *out = i % 2 ? r->n->side : r->n->wide;
       dn__run_block(r, &b[i], r->g, x, stride, out, b[i].out);
@@ -7349,7 +7431,7 @@ static void dn__run_garfit_coarse(const dn__run *r, const float *rows, float *y)
 {
    const dn__net *n = r->n;
    const dn__block *b = r->m->blocks;
-   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->wide, n->wide_width);
+   dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), n->wide, n->wide_width);
    dn__run_block(r, &b[1], r->g, n->wide, n->wide_width, n->side, n->side_width);
    dn__run_block(r, &b[2], r->g, n->side, n->side_width, n->wide, n->wide_width);
    dn__run_block(r, &b[3], r->g, n->wide, n->wide_width, n->side, n->side_width);
@@ -7366,7 +7448,7 @@ static void dn__run_garfitnet(const dn__run *r, const float *rows, float *y)
       const dn__block *last = b + r->m->branch[k].first + r->m->branch[k].locals - 1;
       at = dn__max(at, last->in + last->out - x);
    }
-   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->wide + at + b[1].out, stride);
+   dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), n->wide + at + b[1].out, stride);
    dn__run_block(r, &b[1], r->g, n->wide + at + b[1].out, stride, n->wide + at, stride);
    dn__run_hadamard(r, b + 2, n->wide + at, stride);
    dn__run_local_global(r, 0, at, y);
@@ -7379,7 +7461,7 @@ static void dn__run_cloth_coarse(const dn__run *r, const float *rows, float *y)
    const dn__block *b = r->m->blocks;
    size_t k, stride = n->wide_width;
    float *beside = n->wide + b[0].out;
-   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->wide, stride);
+   dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), n->wide, stride);
    for (k = 0; k < 2; k++) {
       const dn__block *q = b + 1 + 6 * k;
       dn__run_block(r, &q[0], r->g, n->wide, stride, beside, stride);
@@ -7394,7 +7476,7 @@ static void dn__run_cloth_detail(const dn__run *r, const float *rows, float *y)
    const dn__net *n = r->n;
    const dn__block *b = r->m->blocks + DN__CLOTH_DETAIL;
    size_t k, stride = n->side_width;
-   dn__run_block(r, &b[0], r->g, rows, r->stage->row_width, n->wide, n->wide_width);
+   dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), n->wide, n->wide_width);
    dn__run_hadamard(r, b + 1, n->wide, n->wide_width);
    for (k = 0; k < 2; k++) {
       const dn__block *q = b + 4 + 7 * k;
@@ -7438,6 +7520,7 @@ struct dn_rig {
    const uint32_t *fold;          /* (S) joint that the network sees in place of joint s, or NULL: itself */
    const uint32_t *corner_first, *corner_tri; /* triangles at each node, for the normals */
    const float *rest_vertices;    /* (V,3): with a weld distance, vertices of a node rest apart */
+   const float *start;            /* (N, width of the first block): dn_model.bound of each node, or NULL */
    int has_clusters;              /* rest pooling */
    dn_clusters clusters;
 };
@@ -7679,6 +7762,7 @@ static void dn__rig_layout(dn_rig *r, const dn__bind *b, size_t nodes, size_t ne
    r->corner_first = (uint32_t *)dn__take(a, dn__add(nodes, 1), sizeof(uint32_t));
    r->corner_tri = (uint32_t *)dn__take(a, dn__mul(kept, 3), sizeof(uint32_t));
    r->rest_vertices = (float *)dn__take(a, dn__mul(V, 3), sizeof(float));
+   r->start = b->model && b->model->bound.in ? (float *)dn__take(a, dn__mul(nodes, b->model->bound.out), sizeof(float)) : NULL;
    if (b->wants_clusters) {
       dn__clusters_layout(&r->clusters, nodes, neighbours, a);
       r->clusters.score = (float *)dn__take(a, nodes, sizeof(float));
@@ -7904,6 +7988,46 @@ static dn_result dn__bind_geodesic(dn__bind *b, const dn_rig *r, float *geodesic
    return result == DN_OK ? DN_OK : result == DN_CANCELLED ? dn__cancelled(b)
       : dn__fail(b->err, result, b->where, SIZE_MAX, "geodesic distances");
 }
+/* start_i = bn(W x_i + b), x_i the bound columns of node i, normalised: in double, like the rest of what is rounded once */
+typedef struct dn__start_job { const dn_rig *r; float *start; } dn__start_job;
+static void dn__start_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   enum { ROWS = 8 };
+   const dn__start_job *j = (const dn__start_job *)job;
+   const dn_linear *l = &j->r->model->bound;
+   const dn__stage *stage = &j->r->model->stage[0];
+   size_t joints = j->r->model->info.joints, live = dn__live_width(stage), p, c, i, k, rows;
+   (void)worker;
+   for (; begin < end; begin += rows) {
+      const float *geodesic = j->r->view.geodesic + begin * joints;
+      rows = dn__min(ROWS, end - begin);
+      for (p = 0; p * DN_PANEL < l->out; p++) {
+         const float *w = l->panels + p * l->in * DN_PANEL, *n = l->columns + p * DN__COLUMN; /* dn__product_ref's numbers */
+         double sum[ROWS][DN_PANEL];
+         for (i = 0; i < ROWS; i++)
+            for (k = 0; k < DN_PANEL; k++) sum[i][k] = (double)n[k] + (double)n[DN_PANEL + k];
+         for (c = 0; c < l->in; c++, w += DN_PANEL) {
+            double mean = stage->input_mean ? (double)stage->input_mean[live + c] : 0.0;
+            double scale = stage->input_std ? 1.0 / (double)stage->input_std[live + c] : 1.0;
+            for (i = 0; i < rows; i++) {
+               double x = ((double)geodesic[i * joints + c % joints] - mean) * scale; /* listed twice: both read the same */
+               for (k = 0; k < DN_PANEL; k++) sum[i][k] += x * (double)w[k];
+            }
+         }
+         for (i = 0; i < rows; i++)
+            for (k = 0; k < dn__min(DN_PANEL, l->out - p * DN_PANEL); k++)
+               j->start[(begin + i) * l->out + p * DN_PANEL + k] =
+                  dn__narrow(sum[i][k] * ((double)n[2 * DN_PANEL + k] + (double)n[3 * DN_PANEL + k]) + (double)n[4 * DN_PANEL + k]);
+      }
+   }
+}
+static void dn__bind_start(dn__bind *b, dn_rig *r)
+{
+   dn__start_job job;
+   job.r = r;
+   job.start = (float *)r->start;
+   dn__for(b->desc->parallel, b->nodes, 512, dn__start_range, &job);
+}
 static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r);
 
 static dn_result dn__bind_finish(dn__bind *b, dn_rig *r)
@@ -7937,6 +8061,7 @@ static dn_result dn__bind_finish(dn__bind *b, dn_rig *r)
    r->root = b->model_joints ? map[0] : 0;
    if (b->report.joints_folded == 0) r->fold = NULL;
    if (b->wants_geodesic && (result = dn__bind_geodesic(b, r, (float *)v->geodesic)) != DN_OK) return result;
+   if (r->start) dn__bind_start(b, r);
    if (b->wants_clusters && (result = dn__bind_clusters(b, r)) != DN_OK) return result;
    dn__step(b, "done", 1.0f);
    return DN_OK;
@@ -7979,7 +8104,7 @@ static dn_result dn__rig_build(dn__bind *b, void *memory, size_t bytes, dn_rig *
    *rig = r;
    return DN_OK;
 }
-static dn_result dn__bind_start(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, void *scratch,
+static dn_result dn__bind_begin(dn__bind *b, const dn_model *model, const dn_rig_desc *desc, void *scratch,
                                 size_t scratch_bytes, dn_error *err)
 {
    dn__arena temp = dn__arena_of(scratch, scratch_bytes);
@@ -7998,7 +8123,7 @@ DN_API dn_result dn_rig_init(const dn_model *model, const dn_rig_desc *desc, voi
    dn_result r;
    DN_ASSERT(desc && memory && scratch && rig && ((uintptr_t)memory & 63) == 0 && ((uintptr_t)scratch & 63) == 0);
    *rig = NULL;
-   r = dn__bind_start(&b, model, desc, scratch, scratch_bytes, err);
+   r = dn__bind_begin(&b, model, desc, scratch, scratch_bytes, err);
    if (r == DN_OK) r = dn__rig_build(&b, memory, bytes, rig);
    if (r == DN_OK && report) *report = b.report;
    return r;
@@ -8017,7 +8142,7 @@ DN_API dn_rig *dn_rig_create(const dn_model *model, const dn_rig_desc *desc, con
                      " bytes");
       return NULL;
    }
-   if (dn__bind_start(&b, model, desc, scratch, scratch_bytes, err) == DN_OK) { /* welded: the rig's size is exact now */
+   if (dn__bind_begin(&b, model, desc, scratch, scratch_bytes, err) == DN_OK) { /* welded: the rig's size is exact now */
       dn__arena kept = dn__arena_of(NULL, 0);
       dn_rig measure;
       dn__take(&kept, 1, sizeof(dn_rig));
@@ -8062,7 +8187,7 @@ typedef struct dn__frame {    /* the scratch, carved the same way by every stage
    float *framed;             /* (N,3) coarse in the network's frame */
    float *low;                /* (N,3) what float leaves of framed; only the normals need it */
    float *normals;            /* (N,3) of framed; later of the refined mesh */
-   float *rows;               /* (N,D) */
+   float *rows;               /* (N, live columns), normalised */
    float *displacement;       /* (N,3) network's frame, then model space */
    uint32_t *state;           /* (3) fallback nodes, finite palette, skinned by LBS here */
    dn__net net;
@@ -8071,7 +8196,7 @@ typedef struct dn__frame {    /* the scratch, carved the same way by every stage
 static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, size_t nodes, size_t neighbours,
                              size_t joints, const dn_clusters *rest, int dual, unsigned workers, dn__arena *a)
 {
-   size_t width = m ? m->info.row_width : 0;
+   size_t width = m ? dn__live_width(&m->stage[0]) : 0;
    memset(f, 0, sizeof *f);
    f->palette = (float *)dn__take(a, dn__mul(joints, 12), sizeof(float));
    f->wide = dual ? NULL : (float *)dn__take(a, dn__mul(joints, 16), sizeof(float));
@@ -8198,32 +8323,49 @@ static void dn__framed_range(void *job, size_t begin, size_t end, unsigned worke
       }
    }
 }
-static void dn__rows_range(void *job, size_t begin, size_t end, unsigned worker)
+/* columns of rows begin..end, `stride` apart: all of them, or the live ones */
+static void dn__rows_write(const dn_rig *r, const dn__frame *f, int all, size_t begin, size_t end, float *rows, size_t stride)
 {
-   const dn__rows_job *j = (const dn__rows_job *)job;
-   const dn_rig_view *v = &j->r->view;
-   const dn__frame *f = j->f;
-   const dn__stage *m = &j->r->model->stage[0];
-   size_t k, D = m->row_width, joints = j->r->model->info.joints;
-   float *rows = f->rows;
-   (void)worker;
-   dn__normals_fine_range(f->framed, f->low, v->triangle, j->r->corner_first, j->r->corner_tri, begin, end,
-                          f->normals);
+   const dn_rig_view *v = &r->view;
+   const dn__stage *m = &r->model->stage[0];
+   size_t k, joints = r->model->info.joints;
    for (k = 0; k < m->feature_count; k++) {
       switch (m->features[k]) {
-      case DN_POSITION: dn__rows_position(f->framed, begin, end, rows, D); rows += 3; break;
+      case DN_POSITION: dn__rows_position(f->framed, begin, end, rows, stride); rows += 3; break;
       case DN_RELATIVE:
          dn__rows_relative(v->rest, v->skin_joint, v->skin_weight, v->influences, v->first_vertex, f->seen, begin,
-                           end, rows, D);
+                           end, rows, stride);
          rows += 3;
          break;
-      case DN_NORMAL: dn__rows_normal(f->normals, begin, end, rows, D); rows += 3; break;
-      case DN_GEODESIC: dn__rows_geodesic(v->geodesic, joints, begin, end, rows, D); rows += joints; break;
-      case DN_DISTANCE: dn__rows_distance(f->framed, f->posed, joints, begin, end, rows, D); rows += joints; break;
+      case DN_NORMAL: dn__rows_normal(f->normals, begin, end, rows, stride); rows += 3; break;
+      case DN_GEODESIC:
+         if (!all && m->bound_width) break;
+         dn__rows_geodesic(v->geodesic, joints, begin, end, rows, stride);
+         rows += joints;
+         break;
+      case DN_DISTANCE: dn__rows_distance(f->framed, f->posed, joints, begin, end, rows, stride); rows += joints; break;
       case DN_FIT: /* garments only */
       default: break;
       }
    }
+}
+/* rows hold the live columns, whose means and deviations come first */
+static void dn__normalise_rows(const dn__stage *m, float *rows, size_t begin, size_t end)
+{
+   size_t i, k, width = dn__live_width(m);
+   for (i = begin; m->input_mean && i < end; i++)
+      for (k = 0; k < width; k++) rows[i * width + k] = (rows[i * width + k] - m->input_mean[k]) / m->input_std[k];
+}
+static void dn__rows_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__rows_job *j = (const dn__rows_job *)job;
+   const dn__frame *f = j->f;
+   const dn__stage *m = &j->r->model->stage[0];
+   (void)worker;
+   dn__normals_fine_range(f->framed, f->low, j->r->view.triangle, j->r->corner_first, j->r->corner_tri, begin, end,
+                          f->normals);
+   dn__rows_write(j->r, f, 0, begin, end, f->rows, dn__live_width(m));
+   dn__normalise_rows(m, f->rows, begin, end);
 }
 DN_API void dn_stage_rows(const dn_rig *rig, void *scratch, const dn_parallel *parallel)
 {
@@ -8248,11 +8390,8 @@ typedef struct dn__scale_job { const dn__stage *stage; const float *root; float 
 static void dn__normalise_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__scale_job *j = (const dn__scale_job *)job;
-   const dn__stage *m = j->stage;
-   size_t i, k, D = m->row_width;
    (void)worker;
-   for (i = begin; i < end; i++)
-      for (k = 0; k < D; k++) j->rows[i * D + k] = (j->rows[i * D + k] - m->input_mean[k]) / m->input_std[k];
+   dn__normalise_rows(j->stage, j->rows, begin, end);
 }
 static void dn__normalise(const dn__stage *stage, float *rows, size_t nodes, const dn_parallel *parallel)
 {
@@ -8293,11 +8432,11 @@ DN_API void dn_stage_network(const dn_rig *rig, void *scratch, const dn_parallel
       memset(f.displacement, 0, 3 * nodes * sizeof *f.displacement);
       return;
    }
-   dn__normalise(&rig->model->stage[0], f.rows, nodes, parallel);
    run.m = rig->model;
    run.stage = &rig->model->stage[0];
    run.g = &rig->view.graph;
    run.n = &f.net;
+   run.start = rig->start;
    run.par = parallel;
    run.probe = probe;
    run.found = NULL;
@@ -8416,8 +8555,13 @@ DN_API dn_result dn_deform(const dn_rig *rig, const dn_pose *pose, dn_output *ou
    return dn_stage_output(rig, pose, out, scratch, parallel, err);
 }
 /* the workers do not move what lies before the network's buffers, so any count finds these */
+DN_API void dn_rows(const dn_rig *rig, const void *scratch, float *rows)
+{
+   dn__frame f = dn__frame_of(rig, (void *)(uintptr_t)scratch, 1);
+   DN_ASSERT(rig->model);
+   dn__rows_write(rig, &f, 1, 0, rig->view.nodes, rows, rig->model->info.row_width);
+}
 DN_API const float *dn_scratch_coarse(const dn_rig *rig, const void *scratch) { return dn__frame_of(rig, (void *)(uintptr_t)scratch, 1).coarse; }
-DN_API const float *dn_scratch_rows(const dn_rig *rig, const void *scratch) { return dn__frame_of(rig, (void *)(uintptr_t)scratch, 1).rows; }
 DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scratch) { return dn__frame_of(rig, (void *)(uintptr_t)scratch, 1).displacement; }
 
 /* --- bind's last step for "rest" pooling: the network up to its pool with every palette entry the identity */
@@ -8440,11 +8584,11 @@ static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r)
    if ((result = dn_stage_skin(r, &pose, scratch, bytes, par, b->err)) != DN_OK) return result;
    dn_stage_rows(r, scratch, par);
    f = dn__frame_of(r, scratch, dn__workers(par));
-   dn__normalise(&r->model->stage[0], f.rows, b->nodes, par);
    run.m = r->model;
    run.stage = &r->model->stage[0];
    run.g = &r->view.graph;
    run.n = &f.net;
+   run.start = r->start;
    run.par = par;
    run.probe = NULL;
    run.found = &r->clusters;
@@ -10386,6 +10530,7 @@ static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn
    run.par = parallel;
    run.probe = probe;
    run.found = found;
+   run.start = NULL;
    dn__tap(&run, m->info.arch != DN_CLOTHNET ? "features" : k == 0 ? "coarse.features" : "detail.features", f->rows,
            0, nodes, D, D);
    if (run.n->shape) { /* beta, theta, alpha (T 4.3); alpha, beta, theta (C 4.3) */
@@ -12012,7 +12157,7 @@ static size_t dn__conv_slice(const dn_meshconv *l, const dn__conv_work *w, size_
    part.out = columns;
    part.activation = DN_ACT_NONE;
    part.panels = l->panels + column * terms;
-   part.columns = NULL; /* plain sums */
+   part.columns = part.add = NULL; /* plain sums */
    part.kernel = l->kernel;
    for (i = 0; i < count; i++)
       for (c = 0; c < columns; c++) w->sums[i * columns + c] = (double)l->bias[column + c];

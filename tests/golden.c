@@ -985,7 +985,7 @@ static int net_run(const run *r, net *n, const float *palette, const dn_probe *p
       return 0;
    }
    dn_stage_rows(n->rig, n->scratch, NULL);
-   memcpy(n->rows, dn_scratch_rows(n->rig, n->scratch), n->view.nodes * n->info.row_width * sizeof *n->rows);
+   dn_rows(n->rig, n->scratch, n->rows);
    dn_stage_network(n->rig, n->scratch, NULL, probe);
    return 1;
 }

@@ -1390,7 +1390,7 @@ TEST(t20_machines)
       pose.palette = t.palette, pose.strength = 1.0f;
       CHECK(dn_stage_skin(rig, &pose, scratch, bytes, NULL, &e) == DN_OK);
       dn_stage_rows(rig, scratch, NULL);
-      memcpy(rows, dn_scratch_rows(rig, scratch), sizeof rows);
+      dn_rows(rig, scratch, rows);
       dn_stage_network(rig, scratch, NULL, NULL);
       for (n = 0; n < TUBE_V; n++) {
          double x[6], y[5];

@@ -175,7 +175,7 @@ static void linear_case(dn_kernel kernel, uint64_t *seed, size_t in, size_t out,
    float *x = random_floats(seed, rows * x_stride + x_off, 1.5f);
    float *y = (float *)test_block((rows * y_stride + y_off) * 4);
    float *want = (float *)test_block((rows * y_stride + y_off) * 4);
-   float *bn_values = random_floats(seed, 4 * out, 0.5f);
+   float *bn_values = random_floats(seed, 4 * out, 0.5f), *add = random_floats(seed, rows * out, 0.7f);
    void *memory = test_aligned(dn_linear_size(in, out));
    dn_batchnorm bn;
    dn_linear l;
@@ -183,6 +183,7 @@ static void linear_case(dn_kernel kernel, uint64_t *seed, size_t in, size_t out,
    for (i = 0; i < out; i++) bn_values[3 * out + i] += 0.6f;
    dn_linear_pack(&l, in, out, w, b, with_bn ? &bn : NULL, activation, memory);
    l.kernel = kernel;
+   if (pick(seed, 0, 1)) l.add = add;
    fill(y, rows * y_stride + y_off, GUARD);
    fill(want, rows * y_stride + y_off, GUARD);
    dn_linear_ref(&l, x + x_off, x_stride, rows, want + y_off, y_stride);
@@ -192,7 +193,7 @@ static void linear_case(dn_kernel kernel, uint64_t *seed, size_t in, size_t out,
              (unsigned long)in, (unsigned long)out, (unsigned long)rows, (int)activation);
    for (i = 0; i < y_off; i++) CHECK(y[i] == GUARD);
    test_aligned_free(memory);
-   free(w), free(b), free(x), free(y), free(want), free(bn_values);
+   free(w), free(b), free(x), free(y), free(want), free(bn_values), free(add);
 }
 TEST(products_equal_the_reference)
 {
@@ -221,7 +222,7 @@ TEST(the_reference_is_the_definition)
    for (n = 0; n < 40; n++) {
       size_t in = pick(&seed, 1, 60), out = pick(&seed, 1, 60), rows = pick(&seed, 1, 5);
       float *w = random_floats(&seed, in * out, 0.5f), *x = random_floats(&seed, rows * in, 1);
-      float *q = random_floats(&seed, 5 * out, 1);
+      float *q = random_floats(&seed, 5 * out, 1), *add = random_floats(&seed, rows * out, 1);
       float *y = (float *)test_block(rows * out * 4);
       void *memory = test_aligned(dn_linear_size(in, out));
       dn_batchnorm bn;
@@ -229,18 +230,19 @@ TEST(the_reference_is_the_definition)
       bn.weight = q, bn.bias = q + out, bn.mean = q + 2 * out, bn.var = q + 3 * out;
       for (o = 0; o < out; o++) q[3 * out + o] = q[3 * out + o] * q[3 * out + o];
       dn_linear_pack(&l, in, out, w, q + 4 * out, &bn, DN_ACT_LEAKYRELU, memory);
+      if (n % 2) l.add = add;
       dn_linear_ref(&l, x, in, rows, y, out);
       for (r = 0; r < rows; r++)
          for (o = 0; o < out; o++) {
             double u = (double)q[4 * out + o], scale;
             for (c = 0; c < in; c++) u += (double)w[o * in + c] * (double)x[r * in + c];
             scale = (double)bn.weight[o] / sqrt((double)bn.var[o] + 1e-5);
-            u = (u - (double)bn.mean[o]) * scale + (double)bn.bias[o];
+            u = (u - (double)bn.mean[o]) * scale + (double)bn.bias[o] + (n % 2 ? (double)add[r * out + o] : 0.0);
             /* terms that cancel leave the rounding of their sizes */
             CHECK(fabs((double)y[r * out + o] - (u < 0 ? 0.2 * u : u)) <= 1e-5 + 1e-4 * fabs(u) + 2e-6 * fabs(scale));
          }
       test_aligned_free(memory);
-      free(w), free(x), free(q), free(y);
+      free(w), free(x), free(q), free(y), free(add);
    }
 }
 /* Terms added one after another in float lose more the more they are: 7 units at 504 terms, 34 at 12288. The unit is

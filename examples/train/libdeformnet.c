@@ -358,8 +358,6 @@ API int dnt_rig_rows(const dnt_deformer *d, const float *palette, float *rows)
 {
    char *scratch = d->scratch + (64 - (uintptr_t)d->scratch % 64);
    dn_parallel parallel = all_threads();
-   dn_model_info model;
-   dn_rig_view rig;
    dn_pose pose;
    dn_result r;
    memset(&pose, 0, sizeof pose);
@@ -367,8 +365,6 @@ API int dnt_rig_rows(const dnt_deformer *d, const float *palette, float *rows)
    r = dn_stage_skin(d->rig, &pose, scratch, d->scratch_bytes, &parallel, NULL);
    if (r != DN_OK) return (int)r;
    dn_stage_rows(d->rig, scratch, &parallel);
-   dn_model_describe(d->model, &model);
-   dn_rig_describe(d->rig, &rig);
-   memcpy(rows, dn_scratch_rows(d->rig, scratch), rig.nodes * model.row_width * sizeof *rows);
+   dn_rows(d->rig, scratch, rows);
    return 0;
 }
