@@ -6308,6 +6308,7 @@ static void dn__pack_first(dn__loader *l, dn__block *b, const float *weight, con
    memset(zeros, 0, b->out * sizeof *zeros);
    if (bn) scale = *bn, scale.bias = scale.mean = zeros;
    dn_linear_pack(&b->linear, live, b->out, part, NULL, bn ? &scale : NULL, act, memory);
+   b->linear.kernel = l->kernel;
    dn_linear_pack(&l->model->bound, s->bound_width, b->out, part + b->out * live, bias, bn, DN_ACT_NONE, bound_memory);
 }
 /* A linear layer by name; in = 0 takes whatever width the file has. Returns its output width. */

@@ -71,16 +71,20 @@ static void network_case(const list *l, int how, dn_kernel kernel, const tube *t
    dn_tensors *tensors = NULL;
    dn_rig_view view;
    dn_error e;
-   dn_model *m = dn_model_load(file, size, NULL, &e);
-   dn_rig *rig = m ? dn_rig_create(m, &t->desc, NULL, NULL, &e) : NULL;
+   dn_model *m;
+   dn_rig *rig;
+   dn_model_options options;
    dn_pose pose;
    void *table, *scratch;
    float rows[TUBE_V * MOST];
+   memset(&options, 0, sizeof options);
+   options.kernel = kernel;
+   m = dn_model_load(file, size, &options, NULL, &e);
+   rig = m ? dn_rig_create(m, &t->desc, NULL, NULL, &e) : NULL;
    if (!CHECK_MSG(rig != NULL, "%s: %s", l->features, rig ? "" : e.info)) return;
    CHECK(dn_tensors_size(file, size, &bytes, NULL) == DN_OK);
    table = test_aligned(bytes);
    CHECK(dn_tensors_open(file, size, table, bytes, &tensors, NULL) == DN_OK);
-   for (i = 0; i < m->block_count; i++) m->blocks[i].linear.kernel = kernel;
    CHECK(m->stage[0].row_width == l->width && m->stage[0].bound_width == l->bound && !rig->start == !l->bound);
    CHECK(m->blocks[0].linear.in == l->width - l->bound); /* what the frame multiplies */
    scratch_bytes = dn_scratch_size(rig, 1);
