@@ -36,10 +36,10 @@
     PAPERS     T = Li, thesis on mesh deformation with GNNs; N = Neural Blend Shapes; C = Detail-Aware Deep
                Clothing. "T 3.4" is equation 3.4 there.
     ROOMS      search for the tag:
-               >>config >>types >>bind >>model >>deform >>layers >>parts >>kit >>garments
-               >>dressed >>blendshapes                                                 (what you call)
+               >>config >>types >>bind >>model >>deform >>budget >>layers >>parts >>kit
+               >>garments >>dressed >>blendshapes                                      (what you call)
                >>base >>tensors >>mesh >>skin >>geodesic >>kernels >>lbs >>attention >>pooling
-               >>networks >>garmentnets >>rig >>frame >>kit >>garment >>dressed >>blend      (how it works)
+               >>networks >>garmentnets >>rig >>frame >>budget >>kit >>garment >>dressed >>blend (how it works)
     STUDENTS   follow the MAP through the *_ref functions; each cites its equation. Build with DN_NO_SIMD and
                they are what runs (of pooling's contraction still the fast form, tested equal to its _ref).
 */
@@ -425,6 +425,73 @@ DN_API void dn_rows(const dn_rig *rig, const void *scratch, float *rows);
 /*  what the stages left in scratch, per node; 64-byte aligned, valid until the next call that uses the scratch */
 DN_API const float *dn_scratch_coarse(const dn_rig *rig, const void *scratch);       /* (N,3) skinned */
 DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scratch); /* (N,3) posed, model space */
+
+/* ===================================================================================== >>budget
+   The network in fewer frames, or on fewer nodes, for characters that are far away, many, or on a slow machine. What a
+   network run finds is taken to rest space, where it changes slowly, kept in the caller's memory, and every frame carries
+   it by each node's own matrix: no frame shows an old pose, only a correction of a moment ago.
+
+   flow       dn_evaluate(pose) -> correction (N,3)           now and then, on any thread, with a full scratch
+              (coarse graph: dn_evaluate on its rig -> dn_spread -> correction (N,3))
+              dn_track_put(correction), then each frame dn_track_advance -> dn_carry(pose) -> dn_output, with a small scratch
+   stagger    character c is due in frame f when (f + c) % k == 0: a k-th of the characters in every frame
+   job thread copy the palette, let the job call dn_evaluate with its own scratch and correction buffer, and put the
+              correction on the frame's thread once the job is done: nothing else is shared, nothing needs a lock. A job of
+              m frames adds m frames of lag; a job system without background jobs calls the dn_stage_* one by one over
+              several frames in place of dn_evaluate, dn_stage_keep last (examples/crowd.c)
+   not here   garments: they collide with the body of the frame at hand, so their displacement cannot wait */
+
+/*  dn_evaluate - the network's displacement for a pose, in rest space
+
+    equation   c_i = R_i^T Delta_i, R_i the rotation (spec section 2, orthonormalised) of node i's blended matrix: that of
+               its first vertex, T 2.1 or T 2.2. Not its inverse, which rest_delta wants: where skinning collapses an inverse
+               has no bound, and carried to another pose it was a little farther from the truth
+    pose       palette and matrix, and skinned if given; strength and mask belong to dn_carry
+    correction (N,3) written in full, in the rig's node order; 0 where the network was not finite
+    scratch    dn_scratch_size(rig, workers) bytes, as dn_deform
+    returns    as dn_deform
+    threads    re-entrant; no allocation; bits independent of parallel
+    dn_stage_keep is its last step, for those who call dn_stage_skin, _rows and _network themselves */
+DN_API dn_result dn_evaluate(const dn_rig *rig, const dn_pose *pose, float *correction, void *scratch, size_t scratch_bytes,
+                             const dn_parallel *parallel, dn_error *err);
+DN_API void dn_stage_keep(const dn_rig *rig, const void *scratch, float *correction, const dn_parallel *parallel);
+
+/*  dn_track - one character's correction between evaluations
+
+    what is shown glides from where it was when the last evaluation came to that evaluation, over `span`; it never jumps,
+    however irregularly they come. Evaluated every k frames with span k, it lags k - 1 frames: none for k = 1, when it is
+    dn_deform within rounding. The pose itself has no lag
+    lead       aims past the evaluation by that share of its step from the one before: 0 is the smoothest and lags most,
+               0.5 was the nearest to the truth of the leads (README, Cost), 1 overshoots
+    ahead      where the motion is known, evaluate the pose of k - 1 frames on: with lead 0 the lag is gone
+    hold       span 0 shows an evaluation at once: nearer to the truth than gliding with lead 0, but it pops
+    memory     dn_track_size(nodes) bytes, 64-byte aligned, outlives the track; SIZE_MAX: does not fit
+    threads    put and advance change the track; dn_carry only reads it */
+typedef struct dn_track { /* written by the functions below */
+   size_t nodes;
+   float *from, *to;      /* (N,3) what was shown when the last evaluation came; where it glides to */
+   float *last;           /* (N,3) that evaluation */
+   float span, at;        /* the glide's length in the caller's unit, frames or seconds; how much of it is past */
+   int filled;            /* 0: nothing put yet, plain skinning */
+} dn_track;
+DN_API size_t dn_track_size(size_t nodes);
+/*  an empty track; also after a cut or a teleport: the next evaluation is then shown at once */
+DN_API void dn_track_init(dn_track *track, size_t nodes, void *memory);
+/*  correction (N,3) is copied; the glide starts anew. span at least 0, lead 0 .. 1 (clamped) */
+DN_API void dn_track_put(dn_track *track, const float *correction, float span, float lead);
+/*  once a frame, after dn_track_put and before dn_carry: 1, or the frame's seconds where span is in seconds */
+DN_API void dn_track_advance(dn_track *track, float step);
+
+/*  dn_carry - a frame without the network: skin, and add the track's correction
+
+    equation   v_i = p_i + strength mask_i R_n c_n, n the node of vertex i, R_n as in dn_evaluate, but of this pose:
+               one displacement a node, so seams stay closed
+    rig        the full character's; its model is not used and may be NULL
+    pose, out, returns, threads: as dn_deform, rest_delta included
+    scratch    dn_carry_scratch(rig, workers) bytes: without the network's rows; DN_TOO_SMALL when it is less */
+DN_API size_t dn_carry_scratch(const dn_rig *rig, unsigned workers);
+DN_API dn_result dn_carry(const dn_rig *rig, const dn_pose *pose, const dn_track *track, dn_output *out, void *scratch,
+                          size_t scratch_bytes, const dn_parallel *parallel, dn_error *err);
 
 /* ===================================================================================== >>layers
    The networks' building blocks, to compose your own. A layer is packed once into memory you give (weights
@@ -8424,11 +8491,23 @@ static void dn__displace(const dn__stage *stage, const float root[9], float *dis
    job.rows = displacement;
    dn__for(parallel, nodes, 1024, dn__displace_range, &job);
 }
+static void dn__keep_finite(const dn__frame *f, size_t nodes) /* the worst case is always the skinned mesh */
+{
+   size_t i, k;
+   for (i = 0; i < nodes; i++) {
+      float *d = f->displacement + 3 * i;
+      int good = 1;
+      for (k = 0; k < 3; k++) good &= dn__finite(d[k]) & dn__finite(f->coarse[3 * i + k]);
+      if (good) continue;
+      f->state[0]++;
+      d[0] = d[1] = d[2] = 0.0f;
+   }
+}
 DN_API void dn_stage_network(const dn_rig *rig, void *scratch, const dn_parallel *parallel, const dn_probe *probe)
 {
    dn__frame f = dn__frame_of(rig, scratch, dn__workers(parallel));
    dn__run run;
-   size_t i, k, nodes = rig->view.nodes;
+   size_t nodes = rig->view.nodes;
    if (!rig->model) {
       memset(f.displacement, 0, 3 * nodes * sizeof *f.displacement);
       return;
@@ -8443,14 +8522,7 @@ DN_API void dn_stage_network(const dn_rig *rig, void *scratch, const dn_parallel
    run.found = NULL;
    dn__run_network(&run, f.rows, f.displacement);
    dn__displace(run.stage, f.root, f.displacement, nodes, parallel);
-   for (i = 0; i < nodes; i++) { /* the worst case is always the skinned mesh */
-      float *d = f.displacement + 3 * i;
-      int good = 1;
-      for (k = 0; k < 3; k++) good &= dn__finite(d[k]) & dn__finite(f.coarse[3 * i + k]);
-      if (good) continue;
-      f.state[0]++;
-      d[0] = d[1] = d[2] = 0.0f;
-   }
+   dn__keep_finite(&f, nodes);
 }
 
 /* --- stage 4: out to the caller */
@@ -8511,6 +8583,12 @@ static void dn__normals_out_range(void *job, size_t begin, size_t end, unsigned 
       memcpy(dn__strided(j->out->normals, dn__stride(j->out->normal_stride, 12), v),
              j->f->normals + 3 * (size_t)j->r->view.node_of_vertex[v], 12);
 }
+static dn_result dn__frame_result(const dn_rig *rig, const dn__frame *f, dn_error *err)
+{
+   if (f->state[0] == 0 && f->state[1]) return DN_OK;
+   return dn__fail_sizes(err, DN_NOT_FINITE, "frame", SIZE_MAX, f->state[1] ? "nodes plainly skinned: "
+                         : "the palette is not finite; nodes plainly skinned: ", f->state[0], " of ", rig->view.nodes, NULL);
+}
 DN_API dn_result dn_stage_output(const dn_rig *rig, const dn_pose *pose, dn_output *out, void *scratch,
                                  const dn_parallel *parallel, dn_error *err)
 {
@@ -8540,10 +8618,7 @@ DN_API dn_result dn_stage_output(const dn_rig *rig, const dn_pose *pose, dn_outp
       dn__for(parallel, rig->view.vertices, 1024, dn__normals_out_range, &job);
    }
    out->fallback_nodes = f.state[0];
-   if (f.state[0] == 0 && f.state[1]) return DN_OK;
-   return dn__fail_sizes(err, DN_NOT_FINITE, "frame", SIZE_MAX, f.state[1] ? "nodes plainly skinned: "
-                         : "the palette is not finite; nodes plainly skinned: ", f.state[0], " of ", rig->view.nodes,
-                         NULL);
+   return dn__frame_result(rig, &f, err);
 }
 
 DN_API dn_result dn_deform(const dn_rig *rig, const dn_pose *pose, dn_output *out, void *scratch,
@@ -8598,6 +8673,158 @@ static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r)
    return DN_OK;
 }
 
+/* ===================================================================================== >>budget
+   in       a rig, poses, corrections of other frames        out   positions, as >>frame
+   touches  what the caller gives: no allocation, no I/O, no statics
+   read     dn_evaluate, dn_track_put, dn_carry */
+
+/* the same character without its network: scratch and stages of a frame that does not run it */
+static dn_rig dn__plain_rig(const dn_rig *r)
+{
+   dn_rig plain = *r;
+   plain.model = NULL;
+   plain.has_clusters = 0;
+   return plain;
+}
+/* R_i: the rotation of node i's blended matrix */
+static void dn__node_rotation(const dn_rig *r, const dn__frame *f, size_t node, float rotation[9])
+{
+   size_t v = r->view.first_vertex[node], I = r->view.influences;
+   const uint32_t *joint = r->view.skin_joint + v * I;
+   const float *weight = r->view.skin_weight + v * I;
+   float m[12], part[9];
+   if (r->skinning == DN_DQS) dn__dqs_blend(joint, weight, I, f->dual, m);
+   else dn__lbs_blend(joint, weight, I, f->palette, m);
+   dn__part3x3(m, part);
+   dn_orthonormalise(part, rotation);
+}
+
+typedef struct dn__keep_job { const dn_rig *r; const dn__frame *f; float *correction; } dn__keep_job;
+static void dn__keep_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__keep_job *j = (const dn__keep_job *)job;
+   size_t i, k;
+   (void)worker;
+   for (i = begin; i < end; i++) { /* c_i = R_i^T Delta_i */
+      const float *d = j->f->displacement + 3 * i;
+      float r[9], *c = j->correction + 3 * i;
+      dn__node_rotation(j->r, j->f, i, r);
+      for (k = 0; k < 3; k++) c[k] = r[k] * d[0] + r[3 + k] * d[1] + r[6 + k] * d[2];
+   }
+}
+DN_API void dn_stage_keep(const dn_rig *rig, const void *scratch, float *correction, const dn_parallel *parallel)
+{
+   dn__frame f = dn__frame_of(rig, (void *)(uintptr_t)scratch, dn__workers(parallel));
+   dn__keep_job job;
+   DN_ASSERT(correction);
+   job.r = rig;
+   job.f = &f;
+   job.correction = correction;
+   dn__for(parallel, rig->view.nodes, 1024, dn__keep_range, &job);
+}
+DN_API dn_result dn_evaluate(const dn_rig *rig, const dn_pose *pose, float *correction, void *scratch, size_t scratch_bytes,
+                             const dn_parallel *parallel, dn_error *err)
+{
+   dn__frame f;
+   dn_result r = dn_stage_skin(rig, pose, scratch, scratch_bytes, parallel, err);
+   if (r != DN_OK) return r;
+   dn_stage_rows(rig, scratch, parallel);
+   dn_stage_network(rig, scratch, parallel, NULL);
+   dn_stage_keep(rig, scratch, correction, parallel);
+   f = dn__frame_of(rig, scratch, dn__workers(parallel));
+   return dn__frame_result(rig, &f, err);
+}
+
+/* --- the track */
+static void dn__track_layout(dn_track *t, size_t nodes, dn__arena *a)
+{
+   t->nodes = nodes;
+   t->from = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
+   t->to = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
+   t->last = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
+}
+DN_API size_t dn_track_size(size_t nodes)
+{
+   dn__arena a = dn__arena_of(NULL, 0);
+   dn_track t;
+   dn__track_layout(&t, nodes, &a);
+   return dn__gauge(&a);
+}
+DN_API void dn_track_init(dn_track *t, size_t nodes, void *memory)
+{
+   dn__arena a = dn__arena_of(memory, SIZE_MAX);
+   DN_ASSERT(t && memory && ((uintptr_t)memory & 63) == 0);
+   memset(t, 0, sizeof *t);
+   dn__track_layout(t, nodes, &a);
+}
+/* how far the glide is; exactly 1 at its end, so that the end is shown to the bit */
+static float dn__track_place(const dn_track *t) { return t->at < t->span ? t->at / t->span : 1.0f; }
+static float dn__track_value(const dn_track *t, float place, size_t i)
+{
+   return place < 1.0f ? t->from[i] + place * (t->to[i] - t->from[i]) : t->to[i];
+}
+DN_API void dn_track_put(dn_track *t, const float *correction, float span, float lead)
+{
+   float place = dn__track_place(t), past = t->filled ? dn__unit_clamp(lead) : 0.0f;
+   size_t i;
+   DN_ASSERT(t && correction);
+   for (i = 0; i < 3 * t->nodes; i++) {
+      float now = correction[i];
+      t->from[i] = t->filled ? dn__track_value(t, place, i) : now;
+      t->to[i] = past > 0.0f ? now + past * (now - t->last[i]) : now;
+      t->last[i] = now;
+   }
+   t->span = span > 0.0f ? span : 0.0f;
+   t->at = 0.0f;
+   t->filled = 1;
+}
+DN_API void dn_track_advance(dn_track *t, float step)
+{
+   t->at += step;
+   if (!(t->at < t->span)) t->at = t->span; /* waits there, however long; NaN too */
+}
+
+/* --- a frame without the network */
+DN_API size_t dn_carry_scratch(const dn_rig *rig, unsigned workers)
+{
+   dn_rig plain = dn__plain_rig(rig);
+   return dn_scratch_size(&plain, workers);
+}
+typedef struct dn__carry_job { const dn_rig *r; const dn__frame *f; const dn_track *track; float place; } dn__carry_job;
+static void dn__carry_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__carry_job *j = (const dn__carry_job *)job;
+   size_t i, k;
+   (void)worker;
+   for (i = begin; i < end; i++) { /* Delta_i = R_i c_i */
+      float r[9], c[3];
+      for (k = 0; k < 3; k++) c[k] = dn__track_value(j->track, j->place, 3 * i + k);
+      dn__node_rotation(j->r, j->f, i, r);
+      dn__rotate(r, c, j->f->displacement + 3 * i);
+   }
+}
+DN_API dn_result dn_carry(const dn_rig *rig, const dn_pose *pose, const dn_track *track, dn_output *out, void *scratch,
+                          size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
+{
+   dn_rig plain = dn__plain_rig(rig);
+   dn__frame f;
+   dn_result r = dn_stage_skin(&plain, pose, scratch, scratch_bytes, parallel, err);
+   DN_ASSERT(track && track->nodes == rig->view.nodes);
+   if (r != DN_OK) return r;
+   dn_stage_rows(&plain, scratch, parallel);
+   f = dn__frame_of(&plain, scratch, dn__workers(parallel));
+   if (!track->filled) memset(f.displacement, 0, 3 * track->nodes * sizeof *f.displacement);
+   else {
+      dn__carry_job job;
+      job.r = &plain;
+      job.f = &f;
+      job.track = track;
+      job.place = dn__track_place(track);
+      dn__for(parallel, track->nodes, 1024, dn__carry_range, &job);
+      dn__keep_finite(&f, track->nodes);
+   }
+   return dn_stage_output(&plain, pose, out, scratch, parallel, err);
+}
 
 /* ===================================================================================== >>kit
    in       rest positions, distance matrices, posed meshes, shape files

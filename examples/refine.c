@@ -28,10 +28,15 @@
 static const char usage[] =
    "usage: refine [--model M.safetensors] [--character C.glb|C.safetensors] [--motion A.glb] [--animation NAME]\n"
    "              [--frames a:b] [--truth T.safetensors] [--threads n]\n"
+   "              [--every k [--lead x] [--ahead]]\n"
    "              [--out O.glb|O.safetensors] [--picture P.png] [--json R.json]\n"
    "  without --character, --motion and --truth: the bundled demo\n"
    "  --frames a:b  frames a, a+1 .. b-1 (either may be left out); with --truth, by the truth's own frame numbers\n"
-   "  --truth       evaluates the truth's poses; frames that it marks as not settled are left out and counted\n";
+   "  --truth       evaluates the truth's poses; frames that it marks as not settled are left out and counted\n"
+   "                with --motion: plays that motion in full, and compares the frames that the truth has\n"
+   "  --every k     beside the plain run, one with the network in every k-th frame only, and what that costs and saves\n"
+   "  --lead x      ... aims past each evaluation by x of its step, 0 .. 1; default 0.5\n"
+   "  --ahead       ... evaluates the pose of k - 1 frames on, as a program can that knows the motion; lead 0\n";
 
 static int by_float(const void *a, const void *b)
 {
@@ -59,6 +64,9 @@ typedef struct options {
    const char *model, *character, *motion, *animation, *truth, *out, *picture, *json;
    long first, end; /* frames */
    unsigned threads;
+   unsigned every;  /* 0: no second run */
+   float lead;
+   int ahead;
 } options;
 
 static int read_number(const char *s, const char **end, long *value)
@@ -70,11 +78,19 @@ static int read_number(const char *s, const char **end, long *value)
    return e == s || errno != 0 || *value < 0;
 }
 
+static int read_share(const char *s, float low, float high, float *value) /* non-zero: it is none */
+{
+   char *e;
+   *value = strtof(s, &e);
+   return e == s || *e || !(*value >= low && *value <= high);
+}
+
 static int read_options(options *o, int argc, char **argv)
 {
    int i;
    memset(o, 0, sizeof *o);
    o->end = LONG_MAX;
+   o->lead = -1;
    for (i = 1; i < argc; i++) {
       const char *key = argv[i], *value = i + 1 < argc ? argv[i + 1] : NULL, *rest;
       const char **text = strcmp(key, "--model") == 0     ? &o->model
@@ -91,7 +107,12 @@ static int read_options(options *o, int argc, char **argv)
          fputs(usage, stdout);
          exit(0);
       }
-      if (!text && strcmp(key, "--threads") != 0 && strcmp(key, "--frames") != 0)
+      if (strcmp(key, "--ahead") == 0) {
+         o->ahead = 1;
+         continue;
+      }
+      if (!text && strcmp(key, "--threads") != 0 && strcmp(key, "--frames") != 0 && strcmp(key, "--every") != 0 &&
+          strcmp(key, "--lead") != 0)
          return ex_say("unknown argument \"%s\" (--help lists them)", key);
       if (!value) return ex_say("%s needs a value", key);
       i++;
@@ -99,6 +120,11 @@ static int read_options(options *o, int argc, char **argv)
       else if (strcmp(key, "--threads") == 0) {
          if (read_number(value, &rest, &n) || *rest || n < 1 || n > 256) return ex_say("--threads %s: expected 1 to 256", value);
          o->threads = (unsigned)n;
+      } else if (strcmp(key, "--every") == 0) {
+         if (read_number(value, &rest, &n) || *rest || n < 1 || n > 1000) return ex_say("--every %s: expected 1 to 1000", value);
+         o->every = (unsigned)n;
+      } else if (strcmp(key, "--lead") == 0) {
+         if (read_share(value, 0, 1, &o->lead)) return ex_say("--lead %s: expected 0 to 1", value);
       } else {
          rest = value;
          if (*rest != ':' && read_number(rest, &rest, &o->first)) return ex_say("--frames %s: expected a:b", value);
@@ -108,6 +134,9 @@ static int read_options(options *o, int argc, char **argv)
    }
    if (o->out && !ex_ends_with(o->out, ".glb") && !ex_ends_with(o->out, ".safetensors"))
       return ex_say("--out %s: expected a name ending in .glb or .safetensors", o->out);
+   if ((o->ahead || o->lead >= 0) && !o->every) return ex_say("--lead and --ahead belong to --every");
+   if (o->ahead && o->lead > 0) return ex_say("--ahead needs no --lead: its evaluations come in time");
+   if (o->lead < 0) o->lead = o->ahead || o->every < 2 ? 0 : 0.5f;
    if (!o->threads) o->threads = ex_processors();
    return 0;
 }
@@ -179,6 +208,23 @@ static dn_rig *bind(const dn_model *model, const ex_scene *s, const dn_parallel 
    return dn_rig_create(model, &d, NULL, report, err);
 }
 
+/* ===================================================================================== >>budget */
+/* a second run of the same frames with less of the network, beside the plain one */
+typedef struct budget {
+   dn_track track;
+   void *track_block, *scratch_block, *scratch;
+   size_t scratch_bytes;
+   float *correction;                /* (N,3) */
+   float *positions, *normals;       /* (V,3) */
+   float *error;                     /* (compared,V) with a truth */
+   float *gap;                       /* (frames,V) to the plain run */
+   float *jump, *before[2];          /* as the plain run's */
+   double *ms_carry, *ms_evaluate;   /* (frames), (evaluations) */
+   size_t evaluations, worse_frames;
+   figures ours, gaps, jumps;
+   double ms_mean, ms_carried, ms_evaluated;
+} budget;
+
 /* ===================================================================================== >>the job */
 enum { SKIN, FEATURES, NETWORK, NORMALS, STAGES };
 
@@ -197,34 +243,50 @@ typedef struct job {
    void *scratch_block, *scratch;
    size_t scratch_bytes;
    size_t *frame, frames, unsettled; /* the motion's frames evaluated */
+   size_t *wanted, compared;         /* (frames) the truth's frame beside each, or NONE; how many have one */
    double *ms[STAGES], *total;       /* (frames) */
    double ms_bind, ms_stage[STAGES], ms_total;
    float *refined, *normals;         /* (frames,V,3) when they are written out, else (V,3) */
    float *skinned, *skinned_normals; /* (V,3) of the frame at hand */
-   float *lbs_error, *refined_error; /* (frames,V) with a truth */
+   float *lbs_error, *refined_error; /* (compared,V) with a truth, else (frames,V) */
    float *before[2][2];              /* (V,3) refined - skinned and truth - skinned, one and two frames ago */
    float *jump[2];                   /* (frames,V) their second differences in time */
    figures jumps[2];
-   double *lbs_mean, *refined_mean;  /* (frames) centimetres; without a truth refined_mean is the displacement's */
+   double *lbs_mean, *refined_mean;  /* (compared) centimetres; without a truth refined_mean is the displacement's */
    float *worst[6];                  /* the picture's frame: skinned, refined, truth positions, then their normals */
-   size_t worst_frame;
+   size_t worst_frame, worst_number; /* among the compared; in the motion */
+   budget budget;
    size_t fallback_nodes, fallback_frames, worse_frames, resting, resting_kept;
    figures lbs, ours;
 } job;
 
-/* which of the motion's frames are asked for, and of those, which the truth calls settled */
+static const size_t NONE = (size_t)-1;
+
+/* Which of the motion's frames are asked for, and of those, which the truth calls settled. A motion that is not the truth's
+   own is played in full, whatever the truth has of it */
 static int choose_frames(job *j)
 {
-   size_t f;
+   size_t f, t;
+   int whole = j->truth.file && j->o.motion;
    j->frame = (size_t *)ex_take(j->motion->frames, sizeof *j->frame);
-   if (!j->frame) return ex_say("out of memory");
+   j->wanted = (size_t *)ex_take(j->motion->frames, sizeof *j->wanted);
+   if (!j->frame || !j->wanted) return ex_say("out of memory");
    for (f = 0; f < j->motion->frames; f++) {
-      unsigned long number = j->truth.file ? j->truth.numbers[f] : (unsigned long)f;
+      unsigned long number = j->truth.file && !whole ? j->truth.numbers[f] : (unsigned long)f;
+      size_t want = j->truth.file && !whole ? f : NONE;
       if (number < (unsigned long)j->o.first || number >= (unsigned long)j->o.end) continue;
-      if (j->truth.settled && !(j->truth.settled[f] > 0)) j->unsettled++;
-      else j->frame[j->frames++] = f;
+      for (t = 0; whole && t < j->truth.frames; t++)
+         if (j->truth.numbers[t] == number) want = t;
+      if (want != NONE && j->truth.settled && !(j->truth.settled[want] > 0)) {
+         j->unsettled++;
+         want = NONE;
+         if (!whole) continue;
+      }
+      j->compared += want != NONE || !j->truth.file;
+      j->wanted[j->frames] = want;
+      j->frame[j->frames++] = f;
    }
-   if (j->frames) return 0;
+   if (j->compared) return 0;
    if (j->unsettled) return ex_say("%s: none of the %zu frames asked for has settled", j->o.truth, j->unsettled);
    if (j->truth.file && j->truth.frames)
       return ex_say("--frames: no frame in that range; the truth has %zu, from %lu to %lu", j->truth.frames,
@@ -241,14 +303,14 @@ static int allocate(job *j)
    j->scratch = (void *)(((uintptr_t)j->scratch_block + 63) & ~(uintptr_t)63);
    for (i = 0; i < STAGES; i++) bad |= !(j->ms[i] = (double *)ex_take(j->frames, sizeof **j->ms));
    bad |= !(j->total = (double *)ex_take(j->frames, sizeof *j->total));
-   bad |= !(j->lbs_mean = (double *)ex_take(j->frames, sizeof *j->lbs_mean));
-   bad |= !(j->refined_mean = (double *)ex_take(j->frames, sizeof *j->refined_mean));
+   bad |= !(j->lbs_mean = (double *)ex_take(j->compared, sizeof *j->lbs_mean));
+   bad |= !(j->refined_mean = (double *)ex_take(j->compared, sizeof *j->refined_mean));
    bad |= !(j->skinned = (float *)ex_take(v, 12)) || !(j->skinned_normals = (float *)ex_take(v, 12));
    for (i = 0; i < 6; i++) bad |= !(j->worst[i] = (float *)ex_take(v, 12));
    if (v > SIZE_MAX / 12 / kept) return ex_say("out of memory");
    bad |= !(j->refined = (float *)ex_take(kept * v, 12)) || !(j->normals = (float *)ex_take(kept * v, 12));
    if (v > SIZE_MAX / 4 / j->frames) return ex_say("out of memory");
-   bad |= !(j->lbs_error = (float *)ex_take(j->frames * v, 4)) || !(j->refined_error = (float *)ex_take(j->frames * v, 4));
+   bad |= !(j->lbs_error = (float *)ex_take(j->compared * v, 4)) || !(j->refined_error = (float *)ex_take(j->compared * v, 4));
    for (i = 0; i < 4; i++) bad |= !(j->before[i / 2][i % 2] = (float *)ex_take(v, 12));
    for (i = 0; i < 2; i++) bad |= !(j->jump[i] = (float *)ex_take(j->frames * v, 4));
    return bad || !j->scratch_block ? ex_say("out of memory for %zu frames of %zu vertices", j->frames, v) : 0;
@@ -260,37 +322,37 @@ static float distance(const float *a, const float *b)
    return sqrtf(x * x + y * y + z * z);
 }
 
-/* What skinning does moves evenly; what is added to it must too, or it pops: second differences in time of refined - skinned,
-   and of truth - skinned beside them */
-static void follow(job *j, size_t i, const float *refined)
+static const float *truth_of(const job *j, size_t i) /* (V,3) of frame i, or NULL */
 {
-   size_t v, k, n = j->scene->vertices;
-   const float *target[2];
-   target[0] = refined;
-   target[1] = j->truth.file ? (const float *)j->truth.vertices->data + j->frame[i] * n * 3 : NULL;
-   for (k = 0; k < 2 && target[k]; k++) {
-      float *b = j->before[k][0], *a = j->before[k][1]; /* the displacements one and two frames ago */
-      for (v = 0; v < n; v++) {
-         const float *x = target[k] + 3 * v, *s = j->skinned + 3 * v;
-         float d[3];
-         d[0] = x[0] - s[0], d[1] = x[1] - s[1], d[2] = x[2] - s[2];
-         if (i >= 2) {
-            float u[3];
-            u[0] = a[3 * v] - 2 * b[3 * v] + d[0], u[1] = a[3 * v + 1] - 2 * b[3 * v + 1] + d[1], u[2] = a[3 * v + 2] - 2 * b[3 * v + 2] + d[2];
-            j->jump[k][(i - 2) * n + v] = sqrtf(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
-         }
-         memcpy(a + 3 * v, d, sizeof d);
-      }
-      j->before[k][0] = a, j->before[k][1] = b;
-   }
+   return j->wanted[i] == NONE ? NULL : (const float *)j->truth.vertices->data + j->wanted[i] * j->scene->vertices * 3;
 }
 
-/* errors of frame i (with a truth) or its displacement, and the frame to picture */
-static void compare(job *j, size_t i, const float *refined, const float *refined_normals)
+/* What skinning does moves evenly; what is added to it must too, or it pops: second differences in time of
+   target - skinned. before: those one and two frames ago */
+static void follow(const job *j, size_t i, const float *target, float *before[2], float *jump)
+{
+   float *b = before[0], *a = before[1];
+   size_t v, n = j->scene->vertices;
+   for (v = 0; v < n; v++) {
+      const float *x = target + 3 * v, *s = j->skinned + 3 * v;
+      float d[3];
+      d[0] = x[0] - s[0], d[1] = x[1] - s[1], d[2] = x[2] - s[2];
+      if (i >= 2) {
+         float u[3];
+         u[0] = a[3 * v] - 2 * b[3 * v] + d[0], u[1] = a[3 * v + 1] - 2 * b[3 * v + 1] + d[1], u[2] = a[3 * v + 2] - 2 * b[3 * v + 2] + d[2];
+         jump[(i - 2) * n + v] = sqrtf(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]);
+      }
+      memcpy(a + 3 * v, d, sizeof d);
+   }
+   before[0] = a, before[1] = b;
+}
+
+/* errors of frame i (with a truth) or its displacement, and the frame to picture. at: which of the compared it is */
+static void compare(job *j, size_t i, size_t at, const float *refined, const float *refined_normals)
 {
    size_t v, n = j->scene->vertices;
-   const float *want = j->truth.file ? (const float *)j->truth.vertices->data + j->frame[i] * n * 3 : NULL;
-   float *lbs = j->lbs_error + i * n, *ours = j->refined_error + i * n;
+   const float *want = truth_of(j, i);
+   float *lbs = j->lbs_error + at * n, *ours = j->refined_error + at * n;
    double sum_lbs = 0, sum_ours = 0;
    for (v = 0; v < n; v++) {
       const float resting = 0.0005f; /* metres: here skinning was right */
@@ -299,21 +361,108 @@ static void compare(job *j, size_t i, const float *refined, const float *refined
       sum_lbs += (double)lbs[v], sum_ours += (double)ours[v];
       if (want && lbs[v] <= resting) j->resting++, j->resting_kept += ours[v] <= resting;
    }
-   j->lbs_mean[i] = 100 * sum_lbs / (double)n;
-   j->refined_mean[i] = 100 * sum_ours / (double)n;
+   j->lbs_mean[at] = 100 * sum_lbs / (double)n;
+   j->refined_mean[at] = 100 * sum_ours / (double)n;
    if (want && sum_ours > sum_lbs) j->worse_frames++;
-   if (i == 0 || (want ? j->lbs_mean[i] > j->lbs_mean[j->worst_frame] : j->refined_mean[i] > j->refined_mean[j->worst_frame])) {
-      j->worst_frame = i;
+   if (at == 0 || (want ? j->lbs_mean[at] > j->lbs_mean[j->worst_frame] : j->refined_mean[at] > j->refined_mean[j->worst_frame])) {
+      j->worst_frame = at;
+      j->worst_number = i;
       memcpy(j->worst[0], j->skinned, n * 12), memcpy(j->worst[3], j->skinned_normals, n * 12);
       memcpy(j->worst[1], refined, n * 12), memcpy(j->worst[4], refined_normals, n * 12);
       if (want) memcpy(j->worst[2], want, n * 12);
    }
 }
 
+static void *take_aligned(size_t bytes, void **block) /* 64 bytes; *block is what to free */
+{
+   *block = bytes > SIZE_MAX - 63 ? NULL : ex_take(bytes + 63, 1);
+   return *block ? (void *)(((uintptr_t)*block + 63) & ~(uintptr_t)63) : NULL;
+}
+static int budget_allocate(job *j)
+{
+   budget *b = &j->budget;
+   size_t v = j->scene->vertices, nodes = j->view.nodes, i;
+   void *memory = take_aligned(dn_track_size(nodes), &b->track_block);
+   int bad = !memory;
+   if (memory) dn_track_init(&b->track, nodes, memory);
+   b->scratch_bytes = dn_carry_scratch(j->rig, j->parallel.workers);
+   bad |= !(b->scratch = take_aligned(b->scratch_bytes, &b->scratch_block));
+   bad |= !(b->correction = (float *)ex_take(nodes, 12));
+   bad |= !(b->positions = (float *)ex_take(v, 12)) || !(b->normals = (float *)ex_take(v, 12));
+   bad |= !(b->error = (float *)ex_take(j->compared * v, 4)) || !(b->gap = (float *)ex_take(j->frames * v, 4));
+   bad |= !(b->jump = (float *)ex_take(j->frames * v, 4));
+   for (i = 0; i < 2; i++) bad |= !(b->before[i] = (float *)ex_take(v, 12));
+   bad |= !(b->ms_carry = (double *)ex_take(j->frames, sizeof(double))) || !(b->ms_evaluate = (double *)ex_take(j->frames, sizeof(double)));
+   return bad ? ex_say("out of memory for %zu frames of %zu vertices", j->frames, v) : 0;
+}
+
+/* frame i again: the network when it is due, else only what it found before. palette is overwritten with --ahead */
+static int budget_frame(job *j, size_t i, size_t at, float *palette, const float *plain)
+{
+   budget *b = &j->budget;
+   size_t v, n = j->scene->vertices, every = j->o.every;
+   const float *want = truth_of(j, i);
+   double sum_lbs = 0, sum_ours = 0, t0, t1, t2;
+   dn_pose pose;
+   dn_output out;
+   dn_error err;
+   dn_result r = DN_OK;
+   memset(&pose, 0, sizeof pose);
+   memset(&out, 0, sizeof out);
+   pose.palette = palette;
+   pose.strength = 1;
+   out.positions = b->positions;
+   out.normals = b->normals;
+   if (j->o.ahead && i % every == 0) ex_pose(j->scene, j->motion, j->frame[i + every <= j->frames ? i + every - 1 : j->frames - 1], palette);
+   t0 = ex_now_ms();
+   if (i % every == 0) {
+      r = dn_evaluate(j->rig, &pose, b->correction, j->scratch, j->scratch_bytes, &j->parallel, &err);
+      if (r == DN_OK || r == DN_NOT_FINITE) dn_track_put(&b->track, b->correction, (float)every, j->o.lead);
+   }
+   t1 = ex_now_ms();
+   if (j->o.ahead) ex_pose(j->scene, j->motion, j->frame[i], palette);
+   t2 = ex_now_ms();
+   if (r == DN_OK || r == DN_NOT_FINITE) {
+      dn_track_advance(&b->track, 1);
+      r = dn_carry(j->rig, &pose, &b->track, &out, b->scratch, b->scratch_bytes, &j->parallel, &err);
+   }
+   b->ms_carry[i] = ex_now_ms() - t2;
+   if (i % every == 0) b->ms_evaluate[b->evaluations++] = t1 - t0;
+   if (r != DN_OK && r != DN_NOT_FINITE) return ex_say_error("budget", &err);
+   for (v = 0; v < n; v++) b->gap[i * n + v] = distance(b->positions + 3 * v, plain + 3 * v);
+   follow(j, i, b->positions, b->before, b->jump);
+   if (!want) return 0;
+   for (v = 0; v < n; v++) {
+      float e = b->error[at * n + v] = distance(b->positions + 3 * v, want + 3 * v);
+      sum_ours += (double)e;
+      sum_lbs += (double)distance(j->skinned + 3 * v, want + 3 * v);
+   }
+   b->worse_frames += sum_ours > sum_lbs;
+   return 0;
+}
+
+static void budget_measure(job *j)
+{
+   budget *b = &j->budget;
+   size_t n = j->scene->vertices;
+   b->ms_carried = ex_median(b->ms_carry, j->frames);
+   b->ms_evaluated = ex_median(b->ms_evaluate, b->evaluations);
+   b->ms_mean = b->ms_carried + b->ms_evaluated * (double)b->evaluations / (double)j->frames; /* of medians: a strange moment counts for nothing */
+   b->gaps = measure(b->gap, j->frames * n);
+   if (j->truth.file) b->ours = measure(b->error, j->compared * n);
+   if (j->frames > 2) b->jumps = measure(b->jump, (j->frames - 2) * n);
+}
+
+static void budget_free(budget *b)
+{
+   free(b->track_block), free(b->scratch_block), free(b->correction), free(b->positions), free(b->normals), free(b->error), free(b->gap);
+   free(b->jump), free(b->before[0]), free(b->before[1]), free(b->ms_carry), free(b->ms_evaluate);
+}
+
 static int deform_frames(job *j, const char *character)
 {
    float *palette = (float *)ex_take(j->scene->joints, 12 * sizeof *palette);
-   size_t i, n = j->scene->vertices * 3;
+   size_t i, at = 0, n = j->scene->vertices * 3;
    int bad = palette ? 0 : ex_say("out of memory");
    for (i = 0; i < j->frames && !bad; i++) {
       size_t keep = j->o.out ? i * n : 0;
@@ -355,8 +504,10 @@ static int deform_frames(job *j, const char *character)
       plain.normals = j->skinned_normals;
       dn_stage_skin(j->rig, &pose, j->scratch, j->scratch_bytes, &j->parallel, NULL);
       dn_stage_output(j->rig, &pose, &plain, j->scratch, &j->parallel, NULL);
-      compare(j, i, out.positions, out.normals);
-      follow(j, i, out.positions);
+      follow(j, i, out.positions, j->before[0], j->jump[0]);
+      if (j->truth.file && !j->o.motion) follow(j, i, truth_of(j, i), j->before[1], j->jump[1]);
+      if (j->o.every) bad = budget_frame(j, i, at, palette, out.positions);
+      if (j->wanted[i] != NONE || !j->truth.file) compare(j, i, at++, out.positions, out.normals);
    }
    free(palette);
    return bad;
@@ -371,7 +522,8 @@ static void print_report(const job *j, const char *model, const char *character)
           j->report.edges, j->scene->joints);
    if (j->report.joints_folded) printf(" (%zu not in the model)", j->report.joints_folded);
    printf("\nframes      %zu", j->frames);
-   if (j->truth.file) printf(" of the truth, %zu that had not settled left out", j->unsettled);
+   if (j->truth.file && j->o.motion) printf(", %zu compared with the truth, %zu of it had not settled", j->compared, j->unsettled);
+   else if (j->truth.file) printf(" of the truth, %zu that had not settled left out", j->unsettled);
    printf("\nbind        %.0f ms, once\n", j->ms_bind);
    printf("per frame   skin %.2f + features %.2f + network %.2f + normals %.2f: %.2f ms (medians; %u thread%s, %s)\n",
           j->ms_stage[SKIN], j->ms_stage[FEATURES], j->ms_stage[NETWORK], j->ms_stage[NORMALS], j->ms_total,
@@ -392,10 +544,30 @@ static void print_report(const job *j, const char *model, const char *character)
    if (j->resting)
       printf("resting     %.1f %% of the vertices that skinning had right (within 0.5 mm) are still right\n",
              100 * (double)j->resting_kept / (double)j->resting);
-   printf("worse       %zu of %zu frames are worse than skinned, on average\n", j->worse_frames, j->frames);
-   if (j->frames > 2)
+   printf("worse       %zu of %zu frames are worse than skinned, on average\n", j->worse_frames, j->compared);
+   if (j->frames > 2 && !j->o.motion) /* else the truth may have gaps */
       printf("in time     99 %% of second differences of what is added to skinning: refined %.3f, truth %.3f cm\n", j->jumps[0].p99,
              j->jumps[1].p99);
+}
+
+static void print_budget(const job *j)
+{
+   const budget *b = &j->budget;
+   const double network = b->ms_evaluated * (double)b->evaluations / (double)j->frames;
+   printf("budget      the network in %zu of %zu frames", b->evaluations, j->frames);
+   if (j->o.ahead) printf(", each ahead of its time");
+   else if (j->o.every > 1) printf(", lead %.2g", (double)j->o.lead);
+   printf("\n  time      network %.2f + other %.2f: %.2f ms on average, %.2f of the plain run (medians); %.2f MB more\n", network,
+          b->ms_carried, b->ms_mean, b->ms_mean / j->ms_total,
+          (double)(b->scratch_bytes + dn_track_size(j->view.nodes) + 12 * j->view.nodes) / (1024 * 1024));
+   if (j->truth.file) {
+      printf("  error, cm %8.3f %8.3f %8.3f\n", b->ours.mean, b->ours.p99, b->ours.max);
+      if (j->lbs.mean > 0 && j->lbs.p99 > 0 && j->lbs.max > 0)
+         printf("  ratio     %8.3f %8.3f %8.3f\n", b->ours.mean / j->lbs.mean, b->ours.p99 / j->lbs.p99, b->ours.max / j->lbs.max);
+      printf("  worse     %zu of %zu frames are worse than skinned, on average\n", b->worse_frames, j->compared);
+   }
+   printf("  apart, cm %8.3f %8.3f %8.3f from the plain run\n", b->gaps.mean, b->gaps.p99, b->gaps.max);
+   if (j->frames > 2) printf("  in time   %.3f cm, the plain run %.3f\n", b->jumps.p99, j->jumps[0].p99);
 }
 
 static void json_figure(FILE *f, const char *key, int known, double value)
@@ -429,7 +601,20 @@ static int write_json(const job *j)
    json_figure(f, "resting_kept", known && j->resting, j->resting ? (double)j->resting_kept / (double)j->resting : 0);
    json_figure(f, "worse_frames", known, (double)j->worse_frames);
    json_figure(f, "refined_jump_p99_cm", j->frames > 2, j->jumps[0].p99);
-   json_figure(f, "truth_jump_p99_cm", known && j->frames > 2, j->jumps[1].p99);
+   json_figure(f, "truth_jump_p99_cm", known && j->frames > 2 && !j->o.motion, j->jumps[1].p99);
+   if (j->o.every) {
+      const budget *b = &j->budget;
+      json_figure(f, "budget_ms_network", 1, b->ms_evaluated * (double)b->evaluations / (double)j->frames);
+      json_figure(f, "budget_ms_carry", 1, b->ms_carried);
+      json_figure(f, "budget_ms_total", 1, b->ms_mean);
+      json_figure(f, "budget_mean_cm", known, b->ours.mean);
+      json_figure(f, "budget_p99_cm", known, b->ours.p99);
+      json_figure(f, "budget_max_cm", known, b->ours.max);
+      json_figure(f, "budget_worse_frames", known, (double)b->worse_frames);
+      json_figure(f, "budget_apart_mean_cm", 1, b->gaps.mean);
+      json_figure(f, "budget_apart_p99_cm", 1, b->gaps.p99);
+      json_figure(f, "budget_jump_p99_cm", j->frames > 2, b->jumps.p99);
+   }
    fprintf(f, ",\n  \"fallback_nodes\": %zu,\n  \"kernels\": \"%s\"\n}\n", j->fallback_nodes, dn_kernel_name(DN_KERNEL_AUTO));
    bad = ferror(f) != 0;
    bad |= fclose(f) != 0;
@@ -468,7 +653,7 @@ static int write_frames(const job *j)
          times_id = ex_writer_tensor(w, "times", EX_F32, 1, shape);
          ex_writer_put(w, vertices, 0, j->refined, j->frames * v * 3);
          for (i = 0; i < j->frames && number; i++)
-            number[i] = j->truth.file ? j->truth.numbers[j->frame[i]] : (uint32_t)j->frame[i];
+            number[i] = j->truth.file && !j->o.motion ? j->truth.numbers[j->frame[i]] : (uint32_t)j->frame[i];
          if (number) ex_writer_put(w, frames, 0, number, j->frames);
          ex_writer_put(w, times_id, 0, times, j->frames);
          free(number);
@@ -486,8 +671,9 @@ static int write_picture(job *j, const char *character)
    char title[200], text[2][96];
    const char *name = strrchr(character, '/'), *why, *dot;
    size_t n = j->scene->vertices, i, w = j->worst_frame;
-   unsigned long number = j->truth.file ? j->truth.numbers[j->frame[w]] : (unsigned long)j->frame[w];
+   unsigned long number = (unsigned long)j->frame[j->worst_number];
    float *error[2], *sorted = (float *)ex_take(n, sizeof *sorted);
+   if (j->truth.file && !j->o.motion) number = j->truth.numbers[number];
    if (!sorted) return ex_say("out of memory");
    name = name ? name + 1 : character;
    dot = strrchr(name, '.');
@@ -544,7 +730,7 @@ static int run(job *j, int argc, char **argv)
       j->o.truth = ex_bundled(program, "demo/truth.safetensors", paths[0], sizeof paths[0]);
    model = j->o.model ? j->o.model : ex_bundled(program, "models/humanoid.safetensors", paths[1], sizeof paths[1]);
    character = bundled_character ? ex_bundled(program, "demo/humanoid.safetensors", paths[2], sizeof paths[2]) : j->o.character;
-   motion = j->o.truth ? j->o.truth : j->o.motion ? j->o.motion : character;
+   motion = j->o.motion ? j->o.motion : j->o.truth ? j->o.truth : character;
 
    j->model = dn_model_load_file(model, NULL, NULL, &err);
    if (!j->model) return ex_say_error(model, &err);
@@ -554,7 +740,7 @@ static int run(job *j, int argc, char **argv)
    if (j->o.truth && truth_open(&j->truth, j->o.truth, j->scene)) return 1;
    j->motion = ex_motion_load(motion, j->o.animation, j->scene, error);
    if (!j->motion) return ex_say("%s%s", error, motion == character ? "; give --motion or --truth" : "");
-   if (j->truth.file && j->motion->frames != j->truth.frames)
+   if (j->truth.file && !j->o.motion && j->motion->frames != j->truth.frames)
       return ex_say("%s: palettes of %zu frames, vertices of %zu", j->o.truth, j->motion->frames, j->truth.frames);
    if (choose_frames(j)) return 1;
 
@@ -565,18 +751,20 @@ static int run(job *j, int argc, char **argv)
    if (!j->rig) return ex_say_error(character, &err);
    j->ms_bind = ex_now_ms() - t0;
    dn_rig_describe(j->rig, &j->view);
-   if (allocate(j) || deform_frames(j, character)) return 1;
+   if (allocate(j) || (j->o.every && budget_allocate(j)) || deform_frames(j, character)) return 1;
 
    for (i = 0; i < STAGES; i++) j->ms_stage[i] = ex_median(j->ms[i], j->frames);
    j->ms_total = ex_median(j->total, j->frames);
    if (j->o.out && write_frames(j)) return 1;
    if (j->o.picture && write_picture(j, character)) return 1; /* before measure() sorts the errors */
-   n = j->frames * j->scene->vertices;
+   n = j->compared * j->scene->vertices;
    j->ours = measure(j->refined_error, n);
    if (j->truth.file) j->lbs = measure(j->lbs_error, n);
    for (i = 0; i < 2 && j->frames > 2; i++) j->jumps[i] = measure(j->jump[i], (j->frames - 2) * j->scene->vertices);
+   if (j->o.every) budget_measure(j);
    if (j->o.json && write_json(j)) return 1;
    print_report(j, model, character);
+   if (j->o.every) print_budget(j);
    if (j->o.out) printf("wrote       %s\n", j->o.out);
    if (j->o.picture) printf("wrote       %s\n", j->o.picture);
    if (j->o.json) printf("wrote       %s\n", j->o.json);
@@ -596,7 +784,8 @@ int main(int argc, char **argv)
    for (i = 0; i < 4; i++) free(j.before[i / 2][i % 2]);
    for (i = 0; i < 2; i++) free(j.jump[i]);
    free(j.total), free(j.lbs_mean), free(j.refined_mean), free(j.lbs_error), free(j.refined_error);
-   free(j.refined), free(j.normals), free(j.skinned), free(j.skinned_normals), free(j.frame), free(j.scratch_block);
+   free(j.refined), free(j.normals), free(j.skinned), free(j.skinned_normals), free(j.frame), free(j.wanted), free(j.scratch_block);
+   budget_free(&j.budget);
    dn_rig_free(j.rig);
    ex_pool_free(j.pool);
    truth_close(&j.truth);

@@ -1,0 +1,464 @@
+/*  budget.c - the network in fewer frames or on fewer nodes: what must be exact, what must hold, and what it costs in quality
+    build     cc -g budget.c -o budget -lm
+    run       ./budget [part of a test's name]      in this folder: the demo is that of ../examples */
+#define _POSIX_C_SOURCE 200809L
+#include <stdlib.h>
+static size_t allocations; /* every one that the header makes by itself */
+static void *counted_malloc(size_t size)
+{
+   allocations++;
+   return malloc(size);
+}
+#define DN_MALLOC(size) counted_malloc(size)
+#define DN_FREE(ptr) free(ptr)
+#define DEFORMNET_IMPLEMENTATION
+#include "../deformnet.h"
+#include "test.h"
+#include "tiny.h"
+#include <math.h>
+
+/* --- two open tubes side by side around one chain of three joints, a hundredth of a metre apart: closer to each other
+   than to their own next rings, and without a common edge */
+enum { RINGS = 30, AROUND = 16, PAIR_V = 2 * RINGS * AROUND, PAIR_T = 4 * (RINGS - 1) * AROUND, PAIR_S = 3, PAIR_I = 2 };
+typedef struct pair {
+   float positions[PAIR_V * 3], weights[PAIR_V * PAIR_I], inverse_bind[PAIR_S * 12], palette[PAIR_S * 12], mask[PAIR_V];
+   uint32_t joints[PAIR_V * PAIR_I], indices[PAIR_T * 3];
+   int32_t parents[PAIR_S];
+   dn_skin_set skin;
+   dn_rig_desc desc;
+} pair;
+static const char *const pair_names[PAIR_S] = {"hip", "knee", "foot"};
+
+static void pair_make(pair *p)
+{
+   size_t side, r, a, s, n = 0;
+   memset(p, 0, sizeof *p);
+   for (side = 0; side < 2; side++)
+      for (r = 0; r < RINGS; r++)
+         for (a = 0; a < AROUND; a++) {
+            size_t v = (side * RINGS + r) * AROUND + a;
+            double x = 0.04 * (double)r, angle = 6.28318530717959 * ((double)a + 0.3 * (double)side) / AROUND;
+            double radius = 0.1 + 0.004 * sin(17 * x + 3 * angle), at = x / (0.04 * (RINGS - 1)) * (PAIR_S - 1);
+            size_t first = at >= PAIR_S - 1 ? PAIR_S - 2 : (size_t)at;
+            p->positions[3 * v] = (float)(x + 0.003 * sin(5 * angle));
+            p->positions[3 * v + 1] = (float)(radius * cos(angle) + (side ? 0.109 : -0.109));
+            p->positions[3 * v + 2] = (float)(radius * sin(angle));
+            p->joints[PAIR_I * v] = (uint32_t)first;
+            p->joints[PAIR_I * v + 1] = (uint32_t)first + 1;
+            p->weights[PAIR_I * v] = (float)(1 - (at - (double)first));
+            p->weights[PAIR_I * v + 1] = 1 - p->weights[PAIR_I * v];
+            p->mask[v] = (float)(v % 7) / 6;
+            if (r + 1 < RINGS) {
+               uint32_t q = (uint32_t)v, b = (uint32_t)((side * RINGS + r) * AROUND + (a + 1) % AROUND);
+               uint32_t t[6];
+               t[0] = q, t[1] = q + AROUND, t[2] = b, t[3] = b, t[4] = q + AROUND, t[5] = b + AROUND;
+               memcpy(p->indices + n, t, sizeof t);
+               n += 6;
+            }
+         }
+   for (s = 0; s < PAIR_S; s++) {
+      float *m = p->inverse_bind + 12 * s;
+      m[0] = m[5] = m[10] = 1;
+      m[3] = -0.58f * (float)s;
+      p->parents[s] = (int32_t)s - 1;
+   }
+   p->skin.influences = PAIR_I;
+   p->skin.joints = p->joints, p->skin.joint_type = DN_U32;
+   p->skin.weights = p->weights, p->skin.weight_type = DN_F32;
+   p->desc.mesh.vertices = PAIR_V, p->desc.mesh.positions = p->positions;
+   p->desc.mesh.triangles = PAIR_T, p->desc.mesh.indices = p->indices, p->desc.mesh.index_type = DN_U32;
+   p->desc.mesh.skin_sets = 1, p->desc.mesh.skin = &p->skin;
+   p->desc.skeleton.joints = PAIR_S, p->desc.skeleton.names = pair_names, p->desc.skeleton.parents = p->parents;
+   p->desc.skeleton.inverse_bind = p->inverse_bind, p->desc.skeleton.matrix = DN_3X4_ROWS;
+   p->desc.resolution = 24;
+}
+/* every joint bent about z by `bend` against the one before, about its rest place; then all turned about y by `turn` */
+static void pair_pose(pair *p, double bend, double turn)
+{
+   size_t s, r, c, k;
+   float above[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+   float whole[12] = {0};
+   whole[0] = whole[10] = (float)cos(turn), whole[2] = (float)sin(turn), whole[8] = -whole[2], whole[5] = 1;
+   for (s = 0; s < PAIR_S; s++) {
+      double x = 0.58 * (double)s, angle = s ? bend : 0, co = cos(angle), si = sin(angle);
+      float local[12] = {0}, out[12];
+      local[0] = local[5] = (float)co, local[1] = -(float)si, local[4] = (float)si, local[10] = 1;
+      local[3] = (float)(x - co * x), local[7] = (float)(-si * x);
+      for (r = 0; r < 3; r++)
+         for (c = 0; c < 4; c++) {
+            double sum = c == 3 ? (double)above[4 * r + 3] : 0;
+            for (k = 0; k < 3; k++) sum += (double)above[4 * r + k] * (double)local[4 * k + c];
+            out[4 * r + c] = (float)sum;
+         }
+      memcpy(above, out, sizeof above);
+      for (r = 0; r < 3; r++)
+         for (c = 0; c < 4; c++) {
+            double sum = 0;
+            for (k = 0; k < 3; k++) sum += (double)whole[4 * r + k] * (double)out[4 * k + c];
+            p->palette[12 * s + 4 * r + c] = (float)sum;
+         }
+   }
+}
+static dn_model *tiny_model(int root)
+{
+   size_t size;
+   unsigned char *file = root ? tiny_mlp(&size) : tiny_multires("geodesic", "dynamic", &size);
+   dn_error e;
+   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
+   CHECK_MSG(m != NULL, "%s", m ? "" : e.info);
+   free(file);
+   return m;
+}
+static dn_rig *pair_bind(const dn_model *m, const pair *p)
+{
+   dn_error e;
+   dn_rig *r = dn_rig_create(m, &p->desc, NULL, NULL, &e);
+   CHECK_MSG(r != NULL, "%s", r ? "" : e.info);
+   return r;
+}
+static dn_pose pose_of(const float *palette)
+{
+   dn_pose p;
+   memset(&p, 0, sizeof p);
+   p.palette = palette;
+   p.strength = 1;
+   return p;
+}
+
+/* --- one frame's outputs, by dn_deform and by dn_carry */
+typedef struct shown {
+   float positions[PAIR_V * 3], normals[PAIR_V * 3], displacement[PAIR_V * 3], rest_delta[PAIR_V * 3];
+   dn_output out;
+   dn_result code;
+} shown;
+static void shown_aim(shown *s)
+{
+   memset(s, 0, sizeof *s);
+   s->out.positions = s->positions, s->out.normals = s->normals;
+   s->out.displacement = s->displacement, s->out.rest_delta = s->rest_delta;
+}
+static void deform(const dn_rig *rig, const dn_pose *pose, shown *s)
+{
+   size_t bytes = dn_scratch_size(rig, 1);
+   void *scratch = test_aligned(bytes);
+   memset(scratch, 0x5a, bytes);
+   shown_aim(s);
+   s->code = dn_deform(rig, pose, &s->out, scratch, bytes, NULL, NULL);
+   test_aligned_free(scratch);
+}
+static dn_result evaluate(const dn_rig *rig, const dn_pose *pose, float *correction, const dn_parallel *par)
+{
+   size_t bytes = dn_scratch_size(rig, par ? par->workers : 1);
+   void *scratch = test_aligned(bytes);
+   dn_result r;
+   memset(scratch, 0xa5, bytes);
+   r = dn_evaluate(rig, pose, correction, scratch, bytes, par, NULL);
+   test_aligned_free(scratch);
+   return r;
+}
+static void carry(const dn_rig *rig, const dn_pose *pose, const dn_track *track, const dn_parallel *par, shown *s)
+{
+   size_t bytes = dn_carry_scratch(rig, par ? par->workers : 1);
+   void *scratch = test_aligned(bytes);
+   memset(scratch, 0x5a, bytes);
+   shown_aim(s);
+   s->code = dn_carry(rig, pose, track, &s->out, scratch, bytes, par, NULL);
+   test_aligned_free(scratch);
+}
+static dn_track track_of(size_t nodes, void **memory)
+{
+   dn_track t;
+   size_t bytes = dn_track_size(nodes);
+   *memory = test_aligned(bytes);
+   memset(*memory, 0xa5, bytes);
+   dn_track_init(&t, nodes, *memory);
+   return t;
+}
+static double furthest(const float *a, const float *b, size_t n)
+{
+   double most = 0;
+   size_t i;
+   for (i = 0; i < n; i++) {
+      double d = fabs((double)a[i] - (double)b[i]);
+      if (!(d <= most)) most = d; /* NaN stays */
+   }
+   return most;
+}
+static pair p0;
+static shown a0, b0;
+
+TEST(evaluated_every_frame_it_is_dn_deform)
+{
+   size_t skinning, f, compared = 0;
+   double moved = 0, worst = 0;
+   pair_make(&p0);
+   for (skinning = 0; skinning < 2; skinning++) {
+      dn_model *m = tiny_model(0);
+      dn_rig *rig;
+      dn_rig_view view;
+      dn_track track;
+      void *memory;
+      float *correction;
+      p0.desc.skinning = skinning ? DN_DQS : DN_LBS;
+      rig = pair_bind(m, &p0);
+      dn_rig_describe(rig, &view);
+      CHECK(view.nodes == PAIR_V);
+      track = track_of(view.nodes, &memory);
+      correction = (float *)test_block(view.nodes * 12);
+      for (f = 0; f < 12; f++) {
+         dn_pose pose = pose_of(p0.palette);
+         static float skinned[PAIR_V * 3];
+         double d[4];
+         pair_pose(&p0, 0.2 * (double)f - 0.7, 0.5 * (double)f);
+         pose.strength = f % 3 == 2 ? 0.4f : 1;
+         pose.mask = f % 3 ? p0.mask : NULL;
+         if (f % 4 == 3) { /* an engine that has skinned already */
+            (skinning ? dn_dqs : dn_lbs)(p0.positions, view.skin_joint, view.skin_weight, view.influences, PAIR_V, p0.palette, skinned);
+            pose.skinned = skinned;
+         }
+         deform(rig, &pose, &a0);
+         CHECK(evaluate(rig, &pose, correction, NULL) == DN_OK);
+         dn_track_put(&track, correction, 1, 0);
+         dn_track_advance(&track, 1);
+         carry(rig, &pose, &track, NULL, &b0);
+         CHECK(a0.code == DN_OK && b0.code == DN_OK);
+         d[0] = furthest(a0.positions, b0.positions, 3 * PAIR_V);
+         d[1] = furthest(a0.displacement, b0.displacement, 3 * PAIR_V);
+         d[2] = furthest(a0.normals, b0.normals, 3 * PAIR_V) * 0.01;
+         d[3] = furthest(a0.rest_delta, b0.rest_delta, 3 * PAIR_V) * 0.1;
+         CHECK_MSG(d[0] <= 1e-6 && d[1] <= 1e-6 && d[2] <= 1e-6 && d[3] <= 1e-6, "frame %lu: %.1e %.1e %.1e %.1e", (unsigned long)f,
+                   d[0], d[1], d[2], d[3]);
+         CHECK(furthest(a0.out.bounds_min, b0.out.bounds_min, 3) <= 1e-6 && furthest(a0.out.bounds_max, b0.out.bounds_max, 3) <= 1e-6);
+         worst = d[0] > worst ? d[0] : worst;
+         if (fabs((double)a0.displacement[0]) > moved) moved = fabs((double)a0.displacement[0]);
+         compared += PAIR_V;
+      }
+      free(correction);
+      test_aligned_free(memory);
+      dn_rig_free(rig);
+      dn_model_free(m);
+   }
+   CHECK_MSG(moved > 1e-3, "the network should move something: %.1e", moved);
+   AT_LEAST(compared, 24 * PAIR_V, "vertices");
+}
+
+TEST(the_glide)
+{
+   enum { N = 5 };
+   static const float first[3 * N] = {1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+   float next[3 * N], now[3 * N];
+   void *memory;
+   dn_track t = track_of(N, &memory);
+   size_t i, f, checked = 0;
+   uint64_t seed = 5;
+   CHECK(!t.filled && t.nodes == N && dn_track_size(N) >= 9 * N * sizeof(float) && dn_track_size(SIZE_MAX / 4) == SIZE_MAX);
+   dn_track_advance(&t, 1); /* nothing there yet: nothing happens */
+   dn_track_put(&t, first, 4, 1);
+   for (i = 0; i < 3 * N; i++) CHECK(dn__track_value(&t, dn__track_place(&t), i) == first[i]); /* the first is shown at once */
+   dn_track_advance(&t, 1);
+   for (i = 0; i < 3 * N; i++) CHECK(dn__track_value(&t, dn__track_place(&t), i) == first[i]);
+   for (i = 0; i < 3 * N; i++) next[i] = first[i] + 4 * (float)(i + 1);
+   dn_track_put(&t, next, 4, 0);
+   for (f = 0; f <= 6; f++, dn_track_advance(&t, 1)) /* linear, arrives after 4 to the bit, stays */
+      for (i = 0; i < 3 * N; i++, checked++) {
+         float want = f < 4 ? first[i] + (float)f * (float)(i + 1) : next[i];
+         CHECK(fabsf(dn__track_value(&t, dn__track_place(&t), i) - want) <= (f < 4 ? 1e-5f : 0.0f));
+      }
+   dn_track_put(&t, first, 4, 0.5f); /* a lead: aims past `first` by half the step from `next` */
+   dn_track_advance(&t, 4);
+   for (i = 0; i < 3 * N; i++) CHECK(fabsf(dn__track_value(&t, dn__track_place(&t), i) - (first[i] - 2 * (float)(i + 1))) <= 1e-4f);
+   for (f = 0; f < 200; f++) { /* whenever an evaluation comes, the glide goes on from what was shown */
+      float place = dn__track_place(&t);
+      for (i = 0; i < 3 * N; i++) now[i] = dn__track_value(&t, place, i), next[i] = test_uniform(&seed, -1, 1);
+      dn_track_put(&t, next, test_uniform(&seed, 0.1f, 3), test_uniform(&seed, 0, 1));
+      place = dn__track_place(&t);
+      for (i = 0; i < 3 * N; i++, checked++) CHECK(dn__track_value(&t, place, i) == now[i]);
+      dn_track_advance(&t, test_uniform(&seed, 0, 2));
+   }
+   dn_track_put(&t, first, 0, 0); /* no span: at once */
+   for (i = 0; i < 3 * N; i++) CHECK(dn__track_value(&t, dn__track_place(&t), i) == first[i]);
+   test_aligned_free(memory);
+   AT_LEAST(checked, 3000, "values");
+}
+
+TEST(an_empty_track_is_plain_skinning)
+{
+   dn_model *m = tiny_model(0);
+   dn_rig *rig, *bare;
+   dn_track track;
+   void *memory;
+   dn_pose pose = pose_of(p0.palette);
+   pair_make(&p0);
+   pair_pose(&p0, 0.6, 0.3);
+   rig = pair_bind(m, &p0);
+   bare = pair_bind(NULL, &p0);
+   track = track_of(PAIR_V, &memory);
+   carry(rig, &pose, &track, NULL, &b0);
+   deform(bare, &pose, &a0);
+   CHECK(a0.code == DN_OK && b0.code == DN_OK);
+   CHECK(memcmp(a0.positions, b0.positions, sizeof a0.positions) == 0 && memcmp(a0.normals, b0.normals, sizeof a0.normals) == 0);
+   CHECK(dn_carry_scratch(rig, 1) == dn_scratch_size(bare, 1) && dn_carry_scratch(rig, 1) < dn_scratch_size(rig, 1));
+   { /* the model is not needed to carry */
+      float *correction = (float *)test_block(PAIR_V * 12);
+      static shown c0;
+      static const float zeros[3 * PAIR_V];
+      CHECK(evaluate(rig, &pose, correction, NULL) == DN_OK);
+      dn_track_put(&track, correction, 1, 0);
+      carry(rig, &pose, &track, NULL, &b0);
+      carry(bare, &pose, &track, NULL, &c0);
+      CHECK(memcmp(b0.positions, c0.positions, sizeof b0.positions) == 0 && memcmp(a0.positions, b0.positions, sizeof a0.positions) != 0);
+      CHECK(evaluate(bare, &pose, correction, NULL) == DN_OK);
+      CHECK(furthest(correction, zeros, 3 * PAIR_V) == 0);
+      free(correction);
+   }
+   test_aligned_free(memory);
+   dn_rig_free(rig);
+   dn_rig_free(bare);
+   dn_model_free(m);
+}
+
+TEST(turning_the_character_does_not_change_its_correction)
+{
+   size_t skinning, q, checked = 0;
+   pair_make(&p0);
+   p0.desc.skeleton.names = NULL; /* tiny_mlp has none: frame "root", features relative and normal */
+   for (skinning = 0; skinning < 2; skinning++) {
+      dn_model *m = tiny_model(1);
+      dn_rig *rig;
+      dn_pose pose = pose_of(p0.palette);
+      void *memory;
+      dn_track track = track_of(PAIR_V, &memory);
+      float *first = (float *)test_block(PAIR_V * 12), *turned = (float *)test_block(PAIR_V * 12);
+      p0.desc.skinning = skinning ? DN_DQS : DN_LBS;
+      rig = pair_bind(m, &p0);
+      pair_pose(&p0, 0.8, 0);
+      CHECK(evaluate(rig, &pose, first, NULL) == DN_OK);
+      dn_track_put(&track, first, 1, 0);
+      for (q = 1; q < 9; q++) {
+         double d;
+         pair_pose(&p0, 0.8, 0.7 * (double)q);
+         CHECK(evaluate(rig, &pose, turned, NULL) == DN_OK);
+         d = furthest(first, turned, 3 * PAIR_V);
+         CHECK_MSG(d <= 5e-6, "turn %lu: %.1e m", (unsigned long)q, d);
+         deform(rig, &pose, &a0); /* so one evaluation serves all of them */
+         carry(rig, &pose, &track, NULL, &b0);
+         d = furthest(a0.positions, b0.positions, 3 * PAIR_V);
+         CHECK_MSG(d <= 5e-6, "turn %lu: %.1e m carried", (unsigned long)q, d);
+         checked += PAIR_V;
+      }
+      pair_pose(&p0, 0.2, 0); /* so that the test can fail */
+      CHECK(evaluate(rig, &pose, turned, NULL) == DN_OK);
+      CHECK(furthest(first, turned, 3 * PAIR_V) > 1e-4);
+      free(first), free(turned);
+      test_aligned_free(memory);
+      dn_rig_free(rig);
+      dn_model_free(m);
+   }
+   AT_LEAST(checked, 16 * PAIR_V, "vertices");
+}
+
+/* ranges in falling order, cut unevenly, handed to the workers in turn */
+static void uneven(void *user, size_t count, size_t grain, dn_range_fn *fn, void *job)
+{
+   unsigned workers = *(const unsigned *)user, turn = 0;
+   size_t end = count, step = 1;
+   while (end > 0) {
+      size_t size = grain * step, begin = end > size ? (end - size + grain - 1) / grain * grain : 0;
+      if (begin >= end) begin = end - 1 - (end - 1) % grain;
+      fn(job, begin, end, turn++ % workers);
+      end = begin;
+      step = step % 3 + 1;
+   }
+}
+TEST(threads_do_not_change_a_bit)
+{
+   static const unsigned counts[3] = {2, 3, 7};
+   dn_model *m = tiny_model(0);
+   dn_rig *rig;
+   dn_pose pose = pose_of(p0.palette);
+   void *memory;
+   dn_track track;
+   float *one = (float *)test_block(PAIR_V * 12), *many = (float *)test_block(PAIR_V * 12);
+   size_t k, before;
+   pair_make(&p0);
+   pair_pose(&p0, 0.6, 0.3);
+   rig = pair_bind(m, &p0);
+   track = track_of(PAIR_V, &memory);
+   before = allocations;
+   CHECK(evaluate(rig, &pose, one, NULL) == DN_OK);
+   dn_track_put(&track, one, 3, 0);
+   pair_pose(&p0, 0.5, 0.2);
+   CHECK(evaluate(rig, &pose, one, NULL) == DN_OK);
+   dn_track_put(&track, one, 3, 0.5f);
+   dn_track_advance(&track, 1);
+   carry(rig, &pose, &track, NULL, &a0);
+   for (k = 0; k < 3; k++) {
+      unsigned workers = counts[k];
+      dn_parallel par;
+      par.run = uneven;
+      par.user = &workers;
+      par.workers = workers;
+      CHECK(evaluate(rig, &pose, many, &par) == DN_OK);
+      CHECK(memcmp(one, many, PAIR_V * 12) == 0);
+      carry(rig, &pose, &track, &par, &b0);
+      CHECK(memcmp(a0.positions, b0.positions, sizeof a0.positions) == 0 && memcmp(a0.normals, b0.normals, sizeof a0.normals) == 0 &&
+            memcmp(a0.rest_delta, b0.rest_delta, sizeof a0.rest_delta) == 0);
+   }
+   CHECK_MSG(allocations == before, "%lu allocations in frames", (unsigned long)(allocations - before));
+   free(one), free(many);
+   test_aligned_free(memory);
+   dn_rig_free(rig);
+   dn_model_free(m);
+}
+
+TEST(too_little_memory_and_numbers_that_are_none)
+{
+   dn_model *m = tiny_model(0);
+   dn_rig *rig;
+   dn_pose pose = pose_of(p0.palette);
+   void *memory, *scratch;
+   dn_track track;
+   dn_error e;
+   float *correction = (float *)test_block(PAIR_V * 12);
+   size_t bytes, i;
+   pair_make(&p0);
+   pair_pose(&p0, 0.6, 0.3);
+   rig = pair_bind(m, &p0);
+   track = track_of(PAIR_V, &memory);
+   bytes = dn_scratch_size(rig, 1);
+   scratch = test_aligned(bytes);
+   correction[0] = 77;
+   memset(&e, 0, sizeof e);
+   CHECK(dn_evaluate(rig, &pose, correction, scratch, bytes - 1, NULL, &e) == DN_TOO_SMALL && e.code == DN_TOO_SMALL && correction[0] == 77);
+   CHECK(dn_evaluate(rig, &pose, correction, scratch, bytes, NULL, &e) == DN_OK && correction[0] < 1);
+   dn_track_put(&track, correction, 1, 0);
+   shown_aim(&a0);
+   a0.positions[0] = 77;
+   memset(&e, 0, sizeof e);
+   CHECK(dn_carry(rig, &pose, &track, &a0.out, scratch, dn_carry_scratch(rig, 1) - 1, NULL, &e) == DN_TOO_SMALL);
+   CHECK(e.code == DN_TOO_SMALL && strstr(e.info, "needed") && a0.positions[0] == 77);
+   CHECK(dn_carry(rig, &pose, &track, &a0.out, scratch, dn_carry_scratch(rig, 1), NULL, &e) == DN_OK && a0.positions[0] < 7);
+   p0.palette[12 + 5] = (float)NAN; /* the middle joint */
+   CHECK(dn_carry(rig, &pose, &track, &a0.out, scratch, bytes, NULL, &e) == DN_NOT_FINITE);
+   for (i = 0; i < 3 * PAIR_V; i++) CHECK(test_finite(a0.displacement[i]));
+   CHECK(a0.out.fallback_nodes > PAIR_V / 2);
+   CHECK(dn_evaluate(rig, &pose, correction, scratch, bytes, NULL, &e) == DN_NOT_FINITE && e.code == DN_NOT_FINITE);
+   for (i = 0; i < 3 * PAIR_V; i++) CHECK(test_finite(correction[i]));
+   free(correction);
+   test_aligned_free(memory);
+   test_aligned_free(scratch);
+   dn_rig_free(rig);
+   dn_model_free(m);
+}
+
+int main(int argc, char **argv)
+{
+   TEST_BEGIN(argc, argv);
+   RUN(evaluated_every_frame_it_is_dn_deform);
+   RUN(the_glide);
+   RUN(an_empty_track_is_plain_skinning);
+   RUN(turning_the_character_does_not_change_its_correction);
+   RUN(threads_do_not_change_a_bit);
+   RUN(too_little_memory_and_numbers_that_are_none);
+   return TEST_END();
+}
