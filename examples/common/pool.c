@@ -2,7 +2,8 @@
 #include "pool.h"
 #include <stdlib.h>
 
-/* Two words are read without the lock: LOAD, STORE and TAKE are theirs. Everything else is guarded by it. */
+/* Words that are read and written without the lock, in one order for all threads: LOAD, STORE and ADD (the value before)
+   are theirs. What else the threads share is guarded by it, or written before open is set and read after. */
 #ifdef EX_POOL_C11
    #include <stdatomic.h>
    #include <threads.h>
@@ -12,9 +13,9 @@ typedef thrd_t ex_thread;
 typedef int ex_main_result;
 typedef atomic_uint ex_word;
 typedef atomic_size_t ex_counter;
-   #define EX_LOAD(x) atomic_load_explicit(&(x), memory_order_acquire)
-   #define EX_STORE(x, v) atomic_store_explicit(&(x), v, memory_order_release)
-   #define EX_TAKE(x) atomic_fetch_add_explicit(&(x), 1, memory_order_acq_rel)
+   #define EX_LOAD(x) atomic_load(&(x))
+   #define EX_STORE(x, v) atomic_store(&(x), v)
+   #define EX_ADD(x, v) atomic_fetch_add(&(x), v)
 static int ex_mutex_create(ex_mutex *m) { return mtx_init(m, mtx_plain) == thrd_success; }
 static void ex_mutex_free(ex_mutex *m) { mtx_destroy(m); }
 static void ex_lock(ex_mutex *m) { mtx_lock(m); }
@@ -34,9 +35,9 @@ typedef pthread_t ex_thread;
 typedef void *ex_main_result;
 typedef unsigned ex_word;
 typedef size_t ex_counter;
-   #define EX_LOAD(x) __atomic_load_n(&(x), __ATOMIC_ACQUIRE)
-   #define EX_STORE(x, v) __atomic_store_n(&(x), v, __ATOMIC_RELEASE)
-   #define EX_TAKE(x) __atomic_fetch_add(&(x), 1, __ATOMIC_ACQ_REL)
+   #define EX_LOAD(x) __atomic_load_n(&(x), __ATOMIC_SEQ_CST)
+   #define EX_STORE(x, v) __atomic_store_n(&(x), v, __ATOMIC_SEQ_CST)
+   #define EX_ADD(x, v) __atomic_fetch_add(&(x), v, __ATOMIC_SEQ_CST)
 static int ex_mutex_create(ex_mutex *m) { return pthread_mutex_init(m, NULL) == 0; }
 static void ex_mutex_free(ex_mutex *m) { pthread_mutex_destroy(m); }
 static void ex_lock(ex_mutex *m) { pthread_mutex_lock(m); }
@@ -54,7 +55,9 @@ static void ex_thread_join(ex_thread t) { pthread_join(t, NULL); }
 #else
    #define EX_PAUSE() ((void)0)
 #endif
-enum { EX_LOOKS = 600, EX_CHUNKS = 4 }; /* looks before sleeping; chunks a worker: evens out unequal ranges */
+/* looks before sleeping: some tens of microseconds, for a frame is many short jobs with less than that between them, and
+   waking a thread takes as long. Chunks a worker: evens out unequal ranges */
+enum { EX_LOOKS = 3000, EX_CHUNKS = 4 };
 
 typedef struct ex_worker {
    ex_pool *pool;
@@ -64,15 +67,15 @@ typedef struct ex_worker {
 
 struct ex_pool {
    ex_mutex busy;              /* one job at a time */
-   ex_mutex lock;
+   ex_mutex lock;              /* for going to sleep and waking */
    ex_condition wake, done;
    unsigned threads, started;  /* asked for; workers that run (the caller is not among them) */
-   ex_word job_number;         /* counts jobs; read without the lock while looking out */
-   unsigned asleep, active;    /* workers waiting on wake; workers inside the job */
-   int open, stop;             /* the job may still be joined; leave */
+   ex_word job_number, stop;   /* counts jobs, and the end */
+   ex_word open, active;       /* the job may be joined; workers that are in it, or looking whether they may */
+   unsigned asleep;            /* workers waiting on wake */
    int ready;                  /* locks and conditions made, of 4 */
    size_t count, step, chunks; /* the job */
-   ex_counter next;            /* chunk to take; without the lock */
+   ex_counter next;            /* chunk to take */
    dn_range_fn *fn;
    void *job;
    ex_worker *worker;
@@ -81,65 +84,73 @@ struct ex_pool {
 static void ex_work(ex_pool *p, unsigned number)
 {
    size_t c;
-   while ((c = EX_TAKE(p->next)) < p->chunks) {
+   while ((c = EX_ADD(p->next, 1)) < p->chunks) {
       size_t begin = c * p->step, end = p->count - begin > p->step ? begin + p->step : p->count;
       p->fn(p->job, begin, end, number);
    }
 }
 
+/* A worker counts itself in before it looks whether the job is open; the caller closes the job before it looks whether
+   anyone is in: whoever comes second sees the other, so that nobody is in a job that its caller has left. */
 static ex_main_result ex_worker_main(void *user)
 {
    ex_worker *w = (ex_worker *)user;
    ex_pool *p = w->pool;
    unsigned seen = 0;
-   int stop = 0;
-   while (!stop) {
+   for (;;) {
       int look;
       for (look = 0; look < EX_LOOKS && EX_LOAD(p->job_number) == seen; look++) EX_PAUSE();
-      ex_lock(&p->lock);
-      while (p->job_number == seen && !p->stop) {
-         p->asleep++;
-         ex_wait(&p->wake, &p->lock);
-         p->asleep--;
-      }
-      seen = p->job_number;
-      stop = p->stop;
-      if (p->open && !stop) { /* closed already: the others did it all */
-         p->active++;
-         ex_unlock(&p->lock);
-         ex_work(p, w->number);
+      if (EX_LOAD(p->job_number) == seen) {
          ex_lock(&p->lock);
-         if (--p->active == 0) ex_signal(&p->done);
+         p->asleep++;
+         while (EX_LOAD(p->job_number) == seen) ex_wait(&p->wake, &p->lock);
+         p->asleep--;
+         ex_unlock(&p->lock);
       }
-      ex_unlock(&p->lock);
+      seen = EX_LOAD(p->job_number);
+      if (EX_LOAD(p->stop)) return 0;
+      EX_ADD(p->active, 1);
+      if (EX_LOAD(p->open)) ex_work(p, w->number);
+      if (EX_ADD(p->active, (unsigned)-1) == 1 && !EX_LOAD(p->open)) { /* the last one: the caller may be asleep */
+         ex_lock(&p->lock);
+         ex_signal(&p->done);
+         ex_unlock(&p->lock);
+      }
    }
-   return 0;
+}
+static void ex_announce(ex_pool *p)
+{
+   EX_ADD(p->job_number, 1);
+   ex_lock(&p->lock);
+   if (p->asleep) ex_broadcast(&p->wake);
+   ex_unlock(&p->lock);
 }
 
 static void ex_pool_run(void *user, size_t count, size_t grain, dn_range_fn *fn, void *job)
 {
    ex_pool *p = (ex_pool *)user;
    size_t units, share;
+   int look;
    if (grain == 0) grain = 1;
    units = count / grain + (count % grain != 0);
    share = units / ((size_t)p->threads * EX_CHUNKS);
    ex_lock(&p->busy);
-   ex_lock(&p->lock);
    p->count = count;
    p->step = grain * (share ? share : 1);
    p->chunks = count / p->step + (count % p->step != 0);
    p->fn = fn;
    p->job = job;
    EX_STORE(p->next, (size_t)0);
-   p->open = 1;
-   EX_STORE(p->job_number, p->job_number + 1);
-   if (p->asleep) ex_broadcast(&p->wake);
-   ex_unlock(&p->lock);
+   EX_STORE(p->open, 1u);
+   ex_announce(p);
    ex_work(p, 0);
-   ex_lock(&p->lock);
-   p->open = 0; /* who has not joined by now would find nothing to do */
-   while (p->active) ex_wait(&p->done, &p->lock);
-   ex_unlock(&p->lock);
+   EX_STORE(p->open, 0u);
+   for (look = 0; look < EX_LOOKS && EX_LOAD(p->active) != 0; look++) EX_PAUSE();
+   if (EX_LOAD(p->active) != 0) {
+      ex_lock(&p->lock);
+      while (EX_LOAD(p->active) != 0) ex_wait(&p->done, &p->lock);
+      ex_unlock(&p->lock);
+   }
    ex_unlock(&p->busy);
 }
 
@@ -170,11 +181,8 @@ void ex_pool_free(ex_pool *p)
    unsigned i;
    if (!p) return;
    if (p->started > 0) {
-      ex_lock(&p->lock);
-      p->stop = 1;
-      EX_STORE(p->job_number, p->job_number + 1);
-      ex_broadcast(&p->wake);
-      ex_unlock(&p->lock);
+      EX_STORE(p->stop, 1u);
+      ex_announce(p);
    }
    for (i = 0; i < p->started; i++) ex_thread_join(p->worker[i].thread);
    if (p->ready > 3) ex_condition_free(&p->done);

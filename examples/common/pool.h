@@ -1,7 +1,8 @@
 /*  pool.h - a small thread pool that serves as deformnet's dn_parallel
     shows     how to plug a job system into the library; yours replaces this one
     contract  ranges are disjoint, cover [0,count), are cut on multiples of grain; the calling thread is worker 0
-    waiting   a worker without work looks out for the next job for some microseconds, then sleeps
+    waiting   a worker without work looks out for the next job for some tens of microseconds, then sleeps; so does the caller
+              for those who have not finished
     threads   POSIX, with gcc's and clang's atomics; compiled with -DEX_POOL_C11 -std=c11, those of the C11 standard
     limits    one job at a time (a second caller waits); no job may start another on its pool */
 #ifndef EX_POOL_H
