@@ -4210,28 +4210,34 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
 #else
    #define DN__IN_MEMORY() (void)0
 #endif
-/* Each text offers these. A tile is `rows` rows of x times one panel; every y adds its
-   terms c = 0 .. in-1 in one order, whatever the tile, so results do not depend on how rows are grouped. */
+/* Each text offers these. A tile is some rows of x times one panel of weights, or two side by side; every y adds its
+   terms c = 0 .. in-1 in an order that only its column decides, so results do not depend on how rows are grouped. */
+typedef struct dn__place { float *at; size_t stride; } dn__place; /* where a tile puts the 16 columns of a panel */
+typedef struct dn__tile {
+   size_t rows; /* 0: there is none */
+   /* y (rows,16) = bn(x (rows,in) w + b), one for each panel; w (panels,in,16); columns (panels,5,16), as in
+      dn__product_ref; total: room for (rows,16 panels) */
+   void (*run)(const float *x, size_t x_stride, size_t in, const float *w, const float *columns, float *total,
+               const dn__place *y);
+} dn__tile;
 typedef struct dn__kernel {
-   size_t rows; /* of its tile, 16 columns wide */
-   /* y (rows,16) = bn(x (rows,in) w + b); w (in,16); columns (5,16), dn__product_ref; total: room for (rows,16) */
-   void (*tile)(const float *x, size_t x_stride, size_t in, const float *w, const float *columns, float *total,
-                float *y, size_t y_stride);
-   /* the same for one row */
-   void (*row)(const float *x, size_t in, const float *w, const float *columns, float *y);
-   /* y (rows, columns) = act(y); columns a multiple of 16; not softmax */
-   void (*activate)(float *y, size_t y_stride, size_t rows, size_t columns, dn_activation activation);
+   dn__tile one, two; /* panels */
+   /* to (rows,columns) = act(from); from's rows are a multiple of 16 wide; not softmax */
+   void (*activate)(const float *from, size_t from_stride, float *to, size_t to_stride, size_t rows, size_t columns,
+                    dn_activation activation);
    /* >>attention: dn__attend_ref is the specification */
    void (*attend)(const dn_gat *b, const dn_graph *g, const float *z, size_t mask, float *y, size_t y_stride,
                   size_t begin, size_t end);
 } dn__kernel;
+#define DN__TILE_ROWS 14 /* the highest */
 static DN__INLINE float *dn__cache_line(float *p) /* the first 64-byte boundary from p on, at most 15 floats away */
 {
    return p + ((16 - ((size_t)(uintptr_t)p >> 2 & 15)) & 15);
 }
 #define DN__EACH3(X) X(0) X(1) X(2)
 #define DN__EACH6(X) DN__EACH3(X) X(3) X(4) X(5)
-#define DN__EACH14(X) DN__EACH6(X) X(6) X(7) X(8) X(9) X(10) X(11) X(12) X(13)
+#define DN__EACH7(X) DN__EACH6(X) X(6)
+#define DN__EACH14(X) DN__EACH7(X) X(7) X(8) X(9) X(10) X(11) X(12) X(13)
 
 #ifdef DN__HAS_AVX2
 /* --- AVX2 + FMA, 8 lanes */
@@ -4284,13 +4290,21 @@ DN__TARGET_AVX2 static DN__INLINE __m256 dn__act_avx2(__m256 x, dn_activation ac
    default: return x;
    }
 }
-DN__TARGET_AVX2 static void dn__activate_avx2(float *y, size_t y_stride, size_t rows, size_t columns,
-                                              dn_activation activation)
+DN__TARGET_AVX2 static DN__INLINE __m256i dn__lanes_avx2(size_t count) /* the first `count` of 8 */
 {
-   size_t r, c;
-   for (r = 0; r < rows; r++)
-      for (c = 0; c < columns; c += 8)
-         _mm256_storeu_ps(y + r * y_stride + c, dn__act_avx2(_mm256_loadu_ps(y + r * y_stride + c), activation));
+   const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+   return _mm256_cmpgt_epi32(_mm256_set1_epi32(count < 8 ? (int)count : 8), lane);
+}
+DN__TARGET_AVX2 static void dn__activate_avx2(const float *from, size_t from_stride, float *to, size_t to_stride,
+                                              size_t rows, size_t columns, dn_activation activation)
+{
+   size_t c;
+   for (; rows > 0; rows--, from += from_stride, to += to_stride) {
+      for (c = 0; c + 8 <= columns; c += 8)
+         _mm256_storeu_ps(to + c, dn__act_avx2(_mm256_loadu_ps(from + c), activation));
+      if (c < columns)
+         _mm256_maskstore_ps(to + c, dn__lanes_avx2(columns - c), dn__act_avx2(_mm256_loadu_ps(from + c), activation));
+   }
 }
 DN__TARGET_AVX2 static DN__INLINE __m256 dn__start_avx2(const float *columns, size_t at)
 {
@@ -4309,7 +4323,7 @@ DN__TARGET_AVX2 static DN__INLINE __m256 dn__bn_avx2(__m256 sum, __m256 scale, _
 }
 /* 6 rows x 16 columns: 12 sums, 2 weights and 1 broadcast x fill 15 of the 16 registers */
 DN__TARGET_AVX2 static void dn__tile_avx2(const float *x, size_t x_stride, size_t in, const float *w,
-                                          const float *columns, float *total, float *y, size_t y_stride)
+                                          const float *columns, float *total, const dn__place *y)
 {
    const float *x0 = x, *x3 = x + 3 * x_stride;
    __m256 w0, w1, v;
@@ -4341,8 +4355,8 @@ DN__TARGET_AVX2 static void dn__tile_avx2(const float *x, size_t x_stride, size_
 #define DN__BN(r) a##r = dn__bn_avx2(a##r, w0, w1, v);
 #define DN__BN2(r) b##r = dn__bn_avx2(b##r, w0, w1, v);
 #define DN__STORE(r)                                                                                         \
-   _mm256_storeu_ps(y + r * y_stride, a##r);                                                                 \
-   _mm256_storeu_ps(y + r * y_stride + 8, b##r);
+   _mm256_storeu_ps(y->at + r * y->stride, a##r);                                                            \
+   _mm256_storeu_ps(y->at + r * y->stride + 8, b##r);
    {
       DN__EACH6(DN__START)
       for (c = 0; c < in;) {
@@ -4375,33 +4389,6 @@ DN__TARGET_AVX2 static void dn__tile_avx2(const float *x, size_t x_stride, size_
 #undef DN__BN
 #undef DN__BN2
 #undef DN__STORE
-}
-DN__TARGET_AVX2 static void dn__row_avx2(const float *x, size_t in, const float *w, const float *columns, float *y)
-{
-   float total[DN_PANEL];
-   __m256 a = dn__start_avx2(columns, DN_PANEL), b = dn__start_avx2(columns, DN_PANEL + 8);
-   size_t c, end;
-   _mm256_storeu_ps(total, dn__start_avx2(columns, 0));
-   _mm256_storeu_ps(total + 8, dn__start_avx2(columns, 8));
-   for (c = 0; c < in;) {
-      for (end = dn__min(in, c + DN__RUN); c < end; c++, w += DN_PANEL) {
-         __m256 v = _mm256_broadcast_ss(x + c);
-         a = _mm256_fmadd_ps(v, _mm256_loadu_ps(w), a);
-         b = _mm256_fmadd_ps(v, _mm256_loadu_ps(w + 8), b);
-      }
-      a = dn__carry_avx2(total, a);
-      b = dn__carry_avx2(total + 8, b);
-   }
-   a = _mm256_add_ps(_mm256_loadu_ps(total), a);
-   b = _mm256_add_ps(_mm256_loadu_ps(total + 8), b);
-   if (columns) {
-      a = dn__bn_avx2(a, _mm256_loadu_ps(columns + 2 * DN_PANEL), _mm256_loadu_ps(columns + 3 * DN_PANEL),
-                      _mm256_loadu_ps(columns + 4 * DN_PANEL));
-      b = dn__bn_avx2(b, _mm256_loadu_ps(columns + 2 * DN_PANEL + 8), _mm256_loadu_ps(columns + 3 * DN_PANEL + 8),
-                      _mm256_loadu_ps(columns + 4 * DN_PANEL + 8));
-   }
-   _mm256_storeu_ps(y, a);
-   _mm256_storeu_ps(y + 8, b);
 }
 #endif /* DN__HAS_AVX2 */
 
@@ -4452,13 +4439,18 @@ DN__TARGET_AVX512 static DN__INLINE __m512 dn__act_avx512(__m512 x, dn_activatio
    default: return x;
    }
 }
-DN__TARGET_AVX512 static void dn__activate_avx512(float *y, size_t y_stride, size_t rows, size_t columns,
-                                                  dn_activation activation)
+DN__TARGET_AVX512 static DN__INLINE __mmask16 dn__lanes_avx512(size_t count) /* the first `count` of 16 */
 {
-   size_t r, c;
-   for (r = 0; r < rows; r++)
+   return (__mmask16)(count < 16 ? (1u << count) - 1u : 0xffffu);
+}
+DN__TARGET_AVX512 static void dn__activate_avx512(const float *from, size_t from_stride, float *to, size_t to_stride,
+                                                  size_t rows, size_t columns, dn_activation activation)
+{
+   size_t c;
+   for (; rows > 0; rows--, from += from_stride, to += to_stride)
       for (c = 0; c < columns; c += 16)
-         _mm512_storeu_ps(y + r * y_stride + c, dn__act_avx512(_mm512_loadu_ps(y + r * y_stride + c), activation));
+         _mm512_mask_storeu_ps(to + c, dn__lanes_avx512(columns - c),
+                               dn__act_avx512(_mm512_loadu_ps(from + c), activation));
 }
 DN__TARGET_AVX512 static DN__INLINE __m512 dn__start_avx512(const float *columns, size_t at)
 {
@@ -4474,70 +4466,135 @@ DN__TARGET_AVX512 static DN__INLINE __m512 dn__bn_avx512(__m512 sum, __m512 scal
 {
    return _mm512_fmadd_ps(sum, scale, _mm512_fmadd_ps(sum, rest, shift));
 }
-/* 14 rows x 16 columns: 14 runs, 14 totals, 1 weight, x broadcast as it is multiplied: 29 of the 32 registers. Two
-   panels at a time would load less, but leave the totals in memory, and there a 64-byte store takes the time of four
-   products; additions of registers run beside the products for nothing. Four row pointers, each serving rows 0, 1, 2,
-   3 strides away, keep the addresses in registers too. */
-#define DN__START(r) __m512 a##r = rest, s##r = start;
-#define DN__STEP(r) a##r = _mm512_fmadd_ps(_mm512_set1_ps(DN__X(r)[K]), w0, a##r);
-#define DN__CARRY(r)                                                                                         \
-   v = _mm512_add_ps(s##r, a##r);                                                                            \
-   a##r = _mm512_add_ps(_mm512_sub_ps(s##r, v), a##r);                                                       \
-   s##r = v;
-#define DN__BN(r) s##r = dn__bn_avx512(_mm512_add_ps(s##r, a##r), w0, rest, v);
-#define DN__STORE(r) _mm512_storeu_ps(y + r * y_stride, s##r);
-DN__TARGET_AVX512 static void dn__tile_avx512(const float *x, size_t x_stride, size_t in, const float *w,
-                                              const float *columns, float *total, float *y, size_t y_stride)
+/* gcc 12 and clang 14 carry loads past the registers there are and copy sums about. Told the instruction they do
+   neither, and keep the order of the text, which is what lays the additions between the products. */
+#if defined(__GNUC__) || defined(__clang__)
+typedef struct dn__sixteen { float f[16]; } dn__sixteen;
+   #define DN__FMA(sum, v, w) __asm__ __volatile__("vfmadd231ps %2, %1, %0" : "+v"(sum) : "v"(v), "v"(w))
+   #define DN__ADD(to, a, b) __asm__ __volatile__("vaddps %2, %1, %0" : "=v"(to) : "v"(a), "v"(b))
+   #define DN__SUB(to, a, b) __asm__ __volatile__("vsubps %2, %1, %0" : "=v"(to) : "v"(a), "v"(b))
+   #define DN__LOAD(to, p) __asm__ __volatile__("vmovups %1, %0" : "=v"(to) : "m"(*(const dn__sixteen *)(const void *)(p)))
+   #define DN__ALL_OF(to, p) __asm__ __volatile__("vbroadcastss %1, %0" : "=v"(to) : "m"(*(p)))
+#else
+   #define DN__FMA(sum, v, w) sum = _mm512_fmadd_ps(v, w, sum)
+   #define DN__ADD(to, a, b) to = _mm512_add_ps(a, b)
+   #define DN__SUB(to, a, b) to = _mm512_sub_ps(a, b)
+   #define DN__LOAD(to, p) to = _mm512_loadu_ps(p)
+   #define DN__ALL_OF(to, p) to = _mm512_set1_ps(*(p))
+#endif
+#define DN__CARRY(run, total) /* as at DN__RUN */                                                            \
+   DN__ADD(v, total, run);                                                                                   \
+   DN__SUB(total, total, v);                                                                                 \
+   DN__ADD(run, total, run);                                                                                 \
+   total = v;
+#define DN__FOUR /* terms, or what is left of them */                                                        \
+   if (in - c >= 4) {                                                                                        \
+      DN__TERM(0) DN__TERM(1) DN__TERM(2) DN__TERM(3)                                                        \
+      DN__STEP(4)                                                                                            \
+   } else {                                                                                                  \
+      while (c < in) {                                                                                       \
+         DN__TERM(0)                                                                                         \
+         DN__STEP(1)                                                                                         \
+      }                                                                                                      \
+   }
+/* 7 rows x 2 panels: 14 runs, 14 totals, 2 weights, 1 broadcast x, 1 to add with: all 32 registers. Totals in memory
+   would double the rows, but 28 stores in a row hold up the products. The left panel's runs end where the right one's
+   are half done: fewer additions in a row. */
+DN__TARGET_AVX512 static void dn__tile2_avx512(const float *x, size_t x_stride, size_t in, const float *w,
+                                               const float *columns, float *total, const dn__place *y)
 {
-   const float *x0 = x, *x4 = x + 4 * x_stride, *x8 = x + 8 * x_stride, *x12 = x + 12 * x_stride;
-   __m512 w0, v, rest = dn__start_avx512(columns, DN_PANEL), start = dn__start_avx512(columns, 0);
-   size_t c, end;
+   const float *x0 = x, *x4 = x + 4 * x_stride, *u = w + in * DN_PANEL;
+   __m512 w0 = dn__start_avx512(columns, 0), w1 = dn__start_avx512(columns, DN__COLUMN), v;
+   size_t c = 0;
    (void)total; /* kept in registers */
-#define DN__X(r) ((r < 4 ? x0 : r < 8 ? x4 : r < 12 ? x8 : x12) + r % 4 * x_stride)
+#define DN__START(r)                                                                                         \
+   __m512 a##r = dn__start_avx512(columns, DN_PANEL), s##r = w0,                                             \
+          b##r = dn__start_avx512(columns, DN__COLUMN + DN_PANEL), t##r = w1;
 #define DN__TERM(k)                                                                                          \
    {                                                                                                         \
       enum { K = k };                                                                                        \
-      DN__IN_MEMORY();                                                                                       \
-      w0 = _mm512_loadu_ps(w + K * DN_PANEL);                                                                \
-      DN__EACH14(DN__STEP)                                                                                   \
+      DN__LOAD(w0, w + K * DN_PANEL);                                                                        \
+      DN__LOAD(w1, u + K * DN_PANEL);                                                                        \
+      DN__EACH7(DN__PRODUCT)                                                                                 \
    }
+#define DN__PRODUCT(r)                                                                                       \
+   DN__ALL_OF(v, (r < 4 ? x0 : x4) + r % 4 * x_stride + K);                                                  \
+   DN__FMA(a##r, v, w0);                                                                                     \
+   DN__FMA(b##r, v, w1);
+#define DN__LEFT(r) DN__CARRY(a##r, s##r)
+#define DN__RIGHT(r) DN__CARRY(b##r, t##r)
+#define DN__STEP(n) c += n, w += n * DN_PANEL, u += n * DN_PANEL, x0 += n, x4 += n;
+#define DN__STORE(r)                                                                                         \
+   _mm512_storeu_ps(y->at + r * y->stride, dn__bn_avx512(_mm512_add_ps(s##r, a##r), w0, w1, v));
+#define DN__STORE2(r)                                                                                        \
+   _mm512_storeu_ps(y[1].at + r * y[1].stride, dn__bn_avx512(_mm512_add_ps(t##r, b##r), w0, w1, v));
+   {
+      DN__EACH7(DN__START)
+      while (c < in) {
+         DN__EACH7(DN__LEFT)
+         DN__FOUR
+         DN__EACH7(DN__RIGHT)
+         DN__FOUR
+      }
+      w0 = dn__scale_avx512(columns, &w1, &v);
+      DN__EACH7(DN__STORE)
+      w0 = dn__scale_avx512(columns ? columns + DN__COLUMN : NULL, &w1, &v);
+      DN__EACH7(DN__STORE2)
+   }
+#undef DN__START
+#undef DN__TERM
+#undef DN__PRODUCT
+#undef DN__STEP
+#undef DN__STORE
+}
+/* 14 rows x 1 panel, for the last of an odd number. One load for each product is what bounds it. Adds up as the left
+   panel above. */
+DN__TARGET_AVX512 static void dn__tile1_avx512(const float *x, size_t x_stride, size_t in, const float *w,
+                                               const float *columns, float *total, const dn__place *y)
+{
+   const float *x0 = x, *x4 = x + 4 * x_stride, *x8 = x + 8 * x_stride, *x12 = x + 12 * x_stride;
+   __m512 w0 = dn__start_avx512(columns, 0), v, rest;
+   size_t c = 0;
+   (void)total;
+#define DN__START(r) __m512 a##r = dn__start_avx512(columns, DN_PANEL), s##r = w0;
+#define DN__TERM(k)                                                                                          \
+   {                                                                                                         \
+      enum { K = k };                                                                                        \
+      DN__LOAD(w0, w + K * DN_PANEL);                                                                        \
+      DN__EACH14(DN__PRODUCT)                                                                                \
+   }
+#define DN__PRODUCT(r)                                                                                       \
+   DN__ALL_OF(v, (r < 4 ? x0 : r < 8 ? x4 : r < 12 ? x8 : x12) + r % 4 * x_stride + K);                      \
+   DN__FMA(a##r, v, w0);
+#define DN__STEP(n) c += n, w += n * DN_PANEL, x0 += n, x4 += n, x8 += n, x12 += n;
+#define DN__STORE(r)                                                                                         \
+   _mm512_storeu_ps(y->at + r * y->stride, dn__bn_avx512(_mm512_add_ps(s##r, a##r), w0, rest, v));
    {
       DN__EACH14(DN__START)
-      for (c = 0; c < in;) {
-         end = dn__min(in, c + DN__RUN_SHORT);
-         for (; c + 4 <= end; c += 4, w += 4 * DN_PANEL, x0 += 4, x4 += 4, x8 += 4, x12 += 4) {
-            DN__TERM(0) DN__TERM(1) DN__TERM(2) DN__TERM(3)
-         }
-         for (; c < end; c++, w += DN_PANEL, x0++, x4++, x8++, x12++) DN__TERM(0)
-         DN__EACH14(DN__CARRY)
+      while (c < in) {
+         DN__EACH14(DN__LEFT)
+         DN__FOUR
+         DN__FOUR
       }
       w0 = dn__scale_avx512(columns, &rest, &v);
-      DN__EACH14(DN__BN)
       DN__EACH14(DN__STORE)
    }
-#undef DN__X
-#undef DN__TERM
-}
 #undef DN__START
+#undef DN__TERM
+#undef DN__PRODUCT
 #undef DN__STEP
-#undef DN__CARRY
-#undef DN__BN
 #undef DN__STORE
-DN__TARGET_AVX512 static void dn__row_avx512(const float *x, size_t in, const float *w, const float *columns,
-                                             float *y)
-{
-   __m512 a = dn__start_avx512(columns, DN_PANEL), s = dn__start_avx512(columns, 0), v, rest, scale;
-   size_t c, end;
-   for (c = 0; c < in;) {
-      for (end = dn__min(in, c + DN__RUN_SHORT); c < end; c++, w += DN_PANEL)
-         a = _mm512_fmadd_ps(_mm512_set1_ps(x[c]), _mm512_loadu_ps(w), a);
-      v = _mm512_add_ps(s, a);
-      a = _mm512_add_ps(_mm512_sub_ps(s, v), a);
-      s = v;
-   }
-   scale = dn__scale_avx512(columns, &rest, &v);
-   _mm512_storeu_ps(y, dn__bn_avx512(_mm512_add_ps(s, a), scale, rest, v));
 }
+#undef DN__STORE2
+#undef DN__LEFT
+#undef DN__RIGHT
+#undef DN__FOUR
+#undef DN__CARRY
+#undef DN__FMA
+#undef DN__ADD
+#undef DN__SUB
+#undef DN__LOAD
+#undef DN__ALL_OF
 #endif /* DN__HAS_AVX512 */
 
 #if defined(DN__F4_NEON) || defined(DN__F4_WASM) || defined(DN__F4_SSE)
@@ -4670,12 +4727,23 @@ static DN__INLINE dn__f4 dn__act_f4(dn__f4 x, dn_activation activation)
    default: return x;
    }
 }
-static void dn__activate_f4(float *y, size_t y_stride, size_t rows, size_t columns, dn_activation activation)
+static DN__INLINE void dn__store_f4(float *to, size_t count, dn__f4 a) /* the first `count` of 4 */
 {
-   size_t r, c;
-   for (r = 0; r < rows; r++)
+   float part[4];
+   if (count >= 4) {
+      dn__f4_store(to, a);
+   } else {
+      dn__f4_store(part, a);
+      memcpy(to, part, count * sizeof(float));
+   }
+}
+static void dn__activate_f4(const float *from, size_t from_stride, float *to, size_t to_stride, size_t rows,
+                            size_t columns, dn_activation activation)
+{
+   size_t c;
+   for (; rows > 0; rows--, from += from_stride, to += to_stride)
       for (c = 0; c < columns; c += 4)
-         dn__f4_store(y + r * y_stride + c, dn__act_f4(dn__f4_load(y + r * y_stride + c), activation));
+         dn__store_f4(to + c, columns - c, dn__act_f4(dn__f4_load(from + c), activation));
 }
 static DN__INLINE dn__f4 dn__carry_f4(float *total, dn__f4 run) /* as dn__carry_avx2 */
 {
@@ -4699,7 +4767,7 @@ static DN__INLINE void dn__bn_f4(float *y, const float *total, dn__f4 run, const
    dn__f4_store(y + at, sum);
 }
 static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float *w, const float *columns,
-                        float *total, float *y, size_t y_stride)
+                        float *total, const dn__place *y)
 {
    dn__f4 w0 = dn__start_f4(columns, 0), w1 = dn__start_f4(columns, 4), w2 = dn__start_f4(columns, 8),
           w3 = dn__start_f4(columns, 12), v;
@@ -4723,10 +4791,10 @@ static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float 
    c##r = dn__carry_f4(total + r * DN_PANEL + 8, c##r);                                                      \
    d##r = dn__carry_f4(total + r * DN_PANEL + 12, d##r);
 #define DN__STORE(r)                                                                                         \
-   dn__bn_f4(y + r * y_stride, total + r * DN_PANEL, a##r, columns, 0);                                      \
-   dn__bn_f4(y + r * y_stride, total + r * DN_PANEL, b##r, columns, 4);                                      \
-   dn__bn_f4(y + r * y_stride, total + r * DN_PANEL, c##r, columns, 8);                                      \
-   dn__bn_f4(y + r * y_stride, total + r * DN_PANEL, d##r, columns, 12);
+   dn__bn_f4(y->at + r * y->stride, total + r * DN_PANEL, a##r, columns, 0);                                      \
+   dn__bn_f4(y->at + r * y->stride, total + r * DN_PANEL, b##r, columns, 4);                                      \
+   dn__bn_f4(y->at + r * y->stride, total + r * DN_PANEL, c##r, columns, 8);                                      \
+   dn__bn_f4(y->at + r * y->stride, total + r * DN_PANEL, d##r, columns, 12);
    {
       DN__F4_EACH(DN__START)
       for (n = 0; n < in;) {
@@ -4746,31 +4814,6 @@ static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float 
 #undef DN__STEP
 #undef DN__CARRY
 #undef DN__STORE
-}
-static void dn__row_f4(const float *x, size_t in, const float *w, const float *columns, float *y)
-{
-   float total[DN_PANEL];
-   dn__f4 a = dn__start_f4(columns, 16), b = dn__start_f4(columns, 20), c = dn__start_f4(columns, 24),
-          d = dn__start_f4(columns, 28), v;
-   size_t n, end;
-   for (n = 0; n < DN_PANEL; n += 4) dn__f4_store(total + n, dn__start_f4(columns, n));
-   for (n = 0; n < in;) {
-      for (end = dn__min(in, n + DN__F4_RUN); n < end; n++, w += DN_PANEL) {
-         v = dn__f4_all(x[n]);
-         a = dn__f4_fma(v, dn__f4_load(w), a);
-         b = dn__f4_fma(v, dn__f4_load(w + 4), b);
-         c = dn__f4_fma(v, dn__f4_load(w + 8), c);
-         d = dn__f4_fma(v, dn__f4_load(w + 12), d);
-      }
-      a = dn__carry_f4(total, a);
-      b = dn__carry_f4(total + 4, b);
-      c = dn__carry_f4(total + 8, c);
-      d = dn__carry_f4(total + 12, d);
-   }
-   dn__bn_f4(y, total, a, columns, 0);
-   dn__bn_f4(y, total, b, columns, 4);
-   dn__bn_f4(y, total, c, columns, 8);
-   dn__bn_f4(y, total, d, columns, 12);
 }
 #endif /* four lanes */
 
@@ -4850,41 +4893,79 @@ DN_API const char *dn_precision_name(dn_precision precision)
    return (unsigned)precision < (unsigned)DN_PRECISION_COUNT ? names[precision] : "unknown";
 }
 
-/* y = act(bn(x W^T + b) + add), rows begin to end - 1, in tiles. A last tile that would stick out is moved back over rows
-   already done, whose bits it repeats; fewer rows than a tile go one by one. A last panel that sticks out past `out`
-   goes through a buffer. Rows outside, panels inside: a tile's rows of x stay in the first-level cache while the
-   weights stream from the second. */
+/* y = act(bn(x W^T + b) + add), rows begin to end - 1, in tiles; but the first `plain` columns, whole panels, go to z,
+   without the activation. A last tile that would stick out is moved back over rows already done, whose bits it repeats; where
+   there are fewer rows than a tile has, they go one by one, each as all rows of a tile. A last panel that sticks out
+   past `out` goes through a buffer.
+   Panels outside, rows inside, some rows at a time: these stay in the second-level cache while the weights pass through
+   the first. */
+#define DN__BLOCK_ROWS ((size_t)84)
+typedef struct dn__product_job {
+   const dn_linear *l;
+   const dn__kernel *k;
+   const float *x;
+   float *z, *y;
+   size_t x_stride, z_stride, y_stride, plain;
+} dn__product_job;
+static dn__place dn__product_place(const dn__product_job *j, size_t r, size_t column)
+{
+   dn__place p;
+   int plain = column < j->plain;
+   p.stride = plain ? j->z_stride : j->y_stride;
+   p.at = plain ? j->z + r * p.stride + column : j->y + r * p.stride + (column - j->plain);
+   return p;
+}
+/* panels p to p + panels - 1, one or two, of rows begin to end - 1; those from `first` on are there already */
+static void dn__product_panels(const dn__product_job *j, size_t p, size_t panels, size_t begin, size_t end, size_t first)
+{
+   const dn_linear *l = j->l;
+   const dn__tile *tile = panels == 2 ? &j->k->two : &j->k->one;
+   const float *w = l->panels + p * l->in * DN_PANEL, *n = l->columns ? l->columns + p * DN__COLUMN : NULL;
+   float buffer[2][DN__TILE_ROWS * DN_PANEL], total[DN__TILE_ROWS * DN_PANEL];
+   size_t r, rows, q;
+   for (r = begin; r < end; r += rows) {
+      dn__place to[2], place[2];
+      rows = tile->rows;
+      if (end - first < rows) rows = 1;
+      else if (end - r < rows) r = end - rows;
+      for (q = 0; q < panels; q++) {
+         place[q] = to[q] = dn__product_place(j, r, (p + q) * DN_PANEL);
+         if (rows == 1 || (p + q + 1) * DN_PANEL > l->out) place[q].at = buffer[q], place[q].stride = DN_PANEL;
+      }
+      tile->run(j->x + r * j->x_stride, rows == 1 ? 0 : j->x_stride, l->in, w, n, total, place);
+      for (q = 0; q < panels; q++) {
+         size_t at = (p + q) * DN_PANEL, fit = dn__min(DN_PANEL, l->out - at), i, c;
+         dn_activation activation = at < j->plain || l->activation == DN_ACT_SOFTMAX ? DN_ACT_NONE : l->activation;
+         for (i = 0; l->add && i < rows; i++)
+            for (c = 0; c < fit; c++) place[q].at[i * place[q].stride + c] += l->add[(r + i) * l->out + at + c];
+         if (place[q].at != to[q].at || activation != DN_ACT_NONE)
+            j->k->activate(place[q].at, place[q].stride, to[q].at, to[q].stride, rows, fit, activation);
+      }
+   }
+}
+static void dn__product_split(const dn_linear *l, const float *x, size_t x_stride, float *z, size_t z_stride,
+                              size_t plain, float *y, size_t y_stride, size_t begin, size_t end)
+{
+   size_t all = (l->out + DN_PANEL - 1) / DN_PANEL, r, p, panels, i;
+   dn__product_job j;
+   j.l = l, j.k = dn__kernel_of(l->kernel);
+   j.x = x, j.z = z, j.y = y;
+   j.x_stride = x_stride, j.z_stride = z_stride, j.y_stride = y_stride;
+   j.plain = plain;
+   for (r = begin; r < end; r += DN__BLOCK_ROWS) {
+      size_t to = dn__min(end, r + DN__BLOCK_ROWS);
+      for (p = 0; p < all; p += panels) {
+         panels = j.k->two.rows && all - p >= 2 ? 2 : 1;
+         dn__product_panels(&j, p, panels, r, to, begin);
+      }
+   }
+   for (i = begin; l->activation == DN_ACT_SOFTMAX && i < end; i++) dn__softmax(y + i * y_stride, l->out);
+}
 static void dn__product(const dn_linear *l, const float *x, size_t x_stride, float *y, size_t y_stride, size_t begin,
                         size_t end)
 {
-   enum { ROWS = 14 }; /* the highest tile */
-   const dn__kernel *k = dn__kernel_of(l->kernel);
-   float buffer[ROWS * DN_PANEL], total[ROWS * DN_PANEL];
-   size_t all = (l->out + DN_PANEL - 1) / DN_PANEL, r, p, rows, i, c;
-   if (!k) {
-      dn__product_ref(l, x, x_stride, y, y_stride, begin, end);
-      return;
-   }
-   for (r = begin; r < end; r += rows) {
-      rows = end - r >= k->rows ? k->rows : 1;
-      if (rows == 1 && end - begin >= k->rows) r = end - k->rows, rows = k->rows;
-      for (p = 0; p < all; p++) {
-         const float *from = x + r * x_stride, *w = l->panels + p * l->in * DN_PANEL;
-         const float *n = l->columns ? l->columns + p * DN__COLUMN : NULL;
-         float *to = y + r * y_stride + p * DN_PANEL;
-         size_t to_stride = y_stride, fit = dn__min(DN_PANEL, l->out - p * DN_PANEL);
-         if (fit < DN_PANEL) to = buffer, to_stride = DN_PANEL;
-         if (rows == 1) k->row(from, l->in, w, n, to);
-         else k->tile(from, x_stride, l->in, w, n, total, to, to_stride);
-         for (i = 0; l->add && i < rows; i++)
-            for (c = 0; c < fit; c++) to[i * to_stride + c] += l->add[(r + i) * l->out + p * DN_PANEL + c];
-         if (l->activation != DN_ACT_NONE && l->activation != DN_ACT_SOFTMAX)
-            k->activate(to, to_stride, rows, DN_PANEL, l->activation);
-         for (i = 0; fit < DN_PANEL && i < rows; i++)
-            memcpy(y + (r + i) * y_stride + p * DN_PANEL, to + i * to_stride, fit * sizeof(float));
-      }
-      for (i = 0; l->activation == DN_ACT_SOFTMAX && i < rows; i++) dn__softmax(y + (r + i) * y_stride, l->out);
-   }
+   if (dn__kernel_of(l->kernel)) dn__product_split(l, x, x_stride, NULL, 0, 0, y, y_stride, begin, end);
+   else dn__product_ref(l, x, x_stride, y, y_stride, begin, end);
 }
 
 /* --- linear layers. Packing finds each column's five numbers in double. A variance that is none gives NaN, never a
@@ -5387,11 +5468,6 @@ DN__TARGET_AVX2 static DN__INLINE void dn__prefetch_avx2(const dn_graph *g, cons
       for (c = 0; g->next[e] > i && c < stride; c += 16)
          _mm_prefetch((const char *)(z + (g->next[e] & mask) * stride + c), _MM_HINT_T0);
 }
-DN__TARGET_AVX2 static DN__INLINE __m256i dn__lanes_avx2(size_t count) /* the first `count` of 8 */
-{
-   const __m256i lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
-   return _mm256_cmpgt_epi32(_mm256_set1_epi32(count < 8 ? (int)count : 8), lane);
-}
 DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, const float *z, size_t mask,
                                             float *y, size_t y_stride, size_t begin, size_t end)
 {
@@ -5452,16 +5528,12 @@ DN__TARGET_AVX2 static void dn__attend_avx2(const dn_gat *b, const dn_graph *g, 
       }
    }
 }
-static const dn__kernel dn__kernel_avx2 = { 6, dn__tile_avx2, dn__row_avx2, dn__activate_avx2, dn__attend_avx2 };
+static const dn__kernel dn__kernel_avx2 = { { 6, dn__tile_avx2 }, { 0, NULL }, dn__activate_avx2, dn__attend_avx2 };
 #endif
 
 #ifdef DN__HAS_AVX512
 #define DN__WIDE(p) _mm512_castps256_ps512(_mm256_loadu_ps(p)) /* eight weights; the upper lanes are not drawn from */
 #define DN__DRAW(head, a) _mm512_maskz_permutexvar_ps(DN__ALL, head, a) /* each column its head's weight */
-DN__TARGET_AVX512 static DN__INLINE __mmask16 dn__lanes_avx512(size_t count) /* the first `count` of 16 */
-{
-   return (__mmask16)(count < 16 ? (1u << count) - 1u : 0xffffu);
-}
 DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph *g, const float *z, size_t mask,
                                                 float *y, size_t y_stride, size_t begin, size_t end)
 {
@@ -5524,7 +5596,7 @@ DN__TARGET_AVX512 static void dn__attend_avx512(const dn_gat *b, const dn_graph 
 }
 #undef DN__WIDE
 #undef DN__DRAW
-static const dn__kernel dn__kernel_avx512 = { 14, dn__tile_avx512, dn__row_avx512, dn__activate_avx512,
+static const dn__kernel dn__kernel_avx512 = { { 14, dn__tile1_avx512 }, { 7, dn__tile2_avx512 }, dn__activate_avx512,
                                               dn__attend_avx512 };
 #endif
 
@@ -5535,16 +5607,6 @@ static DN__INLINE dn__f4 dn__draw_f4(const float *e, const uint32_t *head, int o
    if (one) return dn__f4_all(e[head[0]]); /* F a multiple of 4: one head for all */
    a[0] = e[head[0]], a[1] = e[head[1]], a[2] = e[head[2]], a[3] = e[head[3]];
    return dn__f4_load(a);
-}
-static DN__INLINE void dn__store_f4(float *to, size_t count, dn__f4 a) /* the first `count` of 4 */
-{
-   float part[4];
-   if (count >= 4) {
-      dn__f4_store(to, a);
-   } else {
-      dn__f4_store(part, a);
-      memcpy(to, part, count * sizeof(float));
-   }
 }
 static void dn__attend_f4(const dn_gat *b, const dn_graph *g, const float *z, size_t mask, float *y, size_t y_stride,
                           size_t begin, size_t end)
@@ -5588,7 +5650,7 @@ static void dn__attend_f4(const dn_gat *b, const dn_graph *g, const float *z, si
       }
    }
 }
-static const dn__kernel dn__kernel_f4 = { DN__F4_ROWS, dn__tile_f4, dn__row_f4, dn__activate_f4, dn__attend_f4 };
+static const dn__kernel dn__kernel_f4 = { { DN__F4_ROWS, dn__tile_f4 }, { 0, NULL }, dn__activate_f4, dn__attend_f4 };
 #endif
 
 static const dn__kernel *dn__kernel_of(dn_kernel kernel)
@@ -5624,10 +5686,17 @@ typedef struct dn__gat_job {
 static void dn__gat_products(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__gat_job *j = (const dn__gat_job *)job;
-   dn_linear z_of = dn__gat_z(j->block), c_of = dn__gat_c(j->block);
+   dn_linear z_of = dn__gat_z(j->block), c_of = dn__gat_c(j->block), both = z_of;
+   float *c = j->y + j->block->heads * j->block->features;
    (void)worker;
-   dn__product(&z_of, j->v, j->v_stride, j->z, z_of.out, begin, end);
-   dn__product(&c_of, j->v, j->v_stride, j->y + j->block->heads * j->block->features, j->y_stride, begin, end);
+   if (dn__kernel_of(both.kernel)) {
+      both.out += c_of.out;
+      both.activation = c_of.activation;
+      dn__product_split(&both, j->v, j->v_stride, j->z, z_of.out, z_of.out, c, j->y_stride, begin, end);
+   } else {
+      dn__product_ref(&z_of, j->v, j->v_stride, j->z, z_of.out, begin, end);
+      dn__product_ref(&c_of, j->v, j->v_stride, c, j->y_stride, begin, end);
+   }
 }
 static void dn__gat_attend(void *job, size_t begin, size_t end, unsigned worker)
 {

@@ -56,7 +56,7 @@ static void activate_by(dn_kernel kernel, float *row, dn_activation activation) 
 {
    const dn__kernel *k = dn__kernel_of(kernel);
    size_t i;
-   if (k) k->activate(row, 16, 1, 16, activation);
+   if (k) k->activate(row, 16, row, 16, 1, 16, activation);
    else
       for (i = 0; i < 16; i++) row[i] = dn__activate(row[i], activation);
 }
