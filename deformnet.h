@@ -4212,13 +4212,13 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
 #endif
 /* Each text offers these. A tile is some rows of x times one panel of weights, or two side by side; every y adds its
    terms c = 0 .. in-1 in an order that only its column decides, so results do not depend on how rows are grouped. */
-typedef struct dn__place { float *at; size_t stride; } dn__place; /* where a tile puts the 16 columns of a panel */
+typedef struct dn__target { float *at; size_t stride; } dn__target; /* where a tile puts the 16 columns of a panel */
 typedef struct dn__tile {
    size_t rows; /* 0: there is none */
    /* y (rows,16) = bn(x (rows,in) w + b), one for each panel; w (panels,in,16); columns (panels,5,16), as in
       dn__product_ref; total: room for (rows,16 panels) */
    void (*run)(const float *x, size_t x_stride, size_t in, const float *w, const float *columns, float *total,
-               const dn__place *y);
+               const dn__target *y);
 } dn__tile;
 typedef struct dn__kernel {
    dn__tile one, two; /* panels */
@@ -4323,7 +4323,7 @@ DN__TARGET_AVX2 static DN__INLINE __m256 dn__bn_avx2(__m256 sum, __m256 scale, _
 }
 /* 6 rows x 16 columns: 12 sums, 2 weights and 1 broadcast x fill 15 of the 16 registers */
 DN__TARGET_AVX2 static void dn__tile_avx2(const float *x, size_t x_stride, size_t in, const float *w,
-                                          const float *columns, float *total, const dn__place *y)
+                                          const float *columns, float *total, const dn__target *y)
 {
    const float *x0 = x, *x3 = x + 3 * x_stride;
    __m256 w0, w1, v;
@@ -4501,7 +4501,7 @@ typedef struct dn__sixteen { float f[16]; } dn__sixteen;
    would double the rows, but 28 stores in a row hold up the products. The left panel's runs end where the right one's
    are half done: fewer additions in a row. */
 DN__TARGET_AVX512 static void dn__tile2_avx512(const float *x, size_t x_stride, size_t in, const float *w,
-                                               const float *columns, float *total, const dn__place *y)
+                                               const float *columns, float *total, const dn__target *y)
 {
    const float *x0 = x, *x4 = x + 4 * x_stride, *u = w + in * DN_PANEL;
    __m512 w0 = dn__start_avx512(columns, 0), w1 = dn__start_avx512(columns, DN__COLUMN), v;
@@ -4550,7 +4550,7 @@ DN__TARGET_AVX512 static void dn__tile2_avx512(const float *x, size_t x_stride, 
 /* 14 rows x 1 panel, for the last of an odd number. One load for each product is what bounds it. Adds up as the left
    panel above. */
 DN__TARGET_AVX512 static void dn__tile1_avx512(const float *x, size_t x_stride, size_t in, const float *w,
-                                               const float *columns, float *total, const dn__place *y)
+                                               const float *columns, float *total, const dn__target *y)
 {
    const float *x0 = x, *x4 = x + 4 * x_stride, *x8 = x + 8 * x_stride, *x12 = x + 12 * x_stride;
    __m512 w0 = dn__start_avx512(columns, 0), v, rest;
@@ -4767,7 +4767,7 @@ static DN__INLINE void dn__bn_f4(float *y, const float *total, dn__f4 run, const
    dn__f4_store(y + at, sum);
 }
 static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float *w, const float *columns,
-                        float *total, const dn__place *y)
+                        float *total, const dn__target *y)
 {
    dn__f4 w0 = dn__start_f4(columns, 0), w1 = dn__start_f4(columns, 4), w2 = dn__start_f4(columns, 8),
           w3 = dn__start_f4(columns, 12), v;
@@ -4907,9 +4907,9 @@ typedef struct dn__product_job {
    float *z, *y;
    size_t x_stride, z_stride, y_stride, plain;
 } dn__product_job;
-static dn__place dn__product_place(const dn__product_job *j, size_t r, size_t column)
+static dn__target dn__product_target(const dn__product_job *j, size_t r, size_t column)
 {
-   dn__place p;
+   dn__target p;
    int plain = column < j->plain;
    p.stride = plain ? j->z_stride : j->y_stride;
    p.at = plain ? j->z + r * p.stride + column : j->y + r * p.stride + (column - j->plain);
@@ -4924,12 +4924,12 @@ static void dn__product_panels(const dn__product_job *j, size_t p, size_t panels
    float buffer[2][DN__TILE_ROWS * DN_PANEL], total[DN__TILE_ROWS * DN_PANEL];
    size_t r, rows, q;
    for (r = begin; r < end; r += rows) {
-      dn__place to[2], place[2];
+      dn__target to[2], place[2];
       rows = tile->rows;
       if (end - first < rows) rows = 1;
       else if (end - r < rows) r = end - rows;
       for (q = 0; q < panels; q++) {
-         place[q] = to[q] = dn__product_place(j, r, (p + q) * DN_PANEL);
+         place[q] = to[q] = dn__product_target(j, r, (p + q) * DN_PANEL);
          if (rows == 1 || (p + q + 1) * DN_PANEL > l->out) place[q].at = buffer[q], place[q].stride = DN_PANEL;
       }
       tile->run(j->x + r * j->x_stride, rows == 1 ? 0 : j->x_stride, l->in, w, n, total, place);
@@ -13744,12 +13744,14 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__ALIGN
 #undef DN__ALL
 #undef DN__BLOCK
+#undef DN__BLOCK_ROWS
 #undef DN__BUCKETS
 #undef DN__COLUMN
 #undef DN__COLUMN
 #undef DN__EACH14
 #undef DN__EACH3
 #undef DN__EACH6
+#undef DN__EACH7
 #undef DN__EXP_0
 #undef DN__EXP_1
 #undef DN__EXP_2
@@ -13784,7 +13786,6 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__RANK_CAP
 #undef DN__RUN
 #undef DN__RUN_SHORT
-#undef DN__RUN_SHORT
 #undef DN__SEEDS
 #undef DN__SOURCE
 #undef DN__TANH_0
@@ -13796,6 +13797,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__TARGET_AVX2
 #undef DN__TARGET_AVX512
 #undef DN__TICK
+#undef DN__TILE_ROWS
 #undef DN__TOUCH
 #undef DN__WEIGHTS
 
