@@ -245,11 +245,11 @@ static void joint_at(size_t s, size_t joints, double p[3])
    double a = 6.283185307179586 * (double)s / (double)joints;
    p[0] = 0.5 * cos(a), p[1] = 0.0, p[2] = 0.5 * sin(a);
 }
-static void pose_joint(ex_made *m, size_t s, uint64_t *seed)
+static void pose_joint(size_t joints, size_t s, uint64_t *seed, float *palette, float *inverse_bind)
 {
    double p[3], axis[3], r[9], length = 0, angle = ex_between(seed, 0.1, 0.5), c = cos(angle), n = sin(angle);
    size_t i, j;
-   joint_at(s, m->joints, p);
+   joint_at(s, joints, p);
    for (i = 0; i < 3; i++) axis[i] = ex_between(seed, -1, 1), length += axis[i] * axis[i];
    for (i = 0; i < 3; i++) axis[i] /= sqrt(length + 1e-9);
    for (i = 0; i < 3; i++)
@@ -258,11 +258,17 @@ static void pose_joint(ex_made *m, size_t s, uint64_t *seed)
          r[3 * i + j] = (i == j ? c : 0) + n * cross + (1 - c) * axis[i] * axis[j];
       }
    for (i = 0; i < 3; i++) {
-      float *to = m->palette + 12 * s + 4 * i, *bind = m->inverse_bind + 12 * s + 4 * i;
-      for (j = 0; j < 3; j++) to[j] = (float)r[3 * i + j], bind[j] = i == j;
+      float *to = palette + 12 * s + 4 * i, *bind = inverse_bind ? inverse_bind + 12 * s + 4 * i : NULL;
+      for (j = 0; j < 3; j++) to[j] = (float)r[3 * i + j];
       to[3] = (float)(p[i] - r[3 * i] * p[0] - r[3 * i + 1] * p[1] - r[3 * i + 2] * p[2]);
-      bind[3] = (float)-p[i];
+      for (j = 0; bind && j < 4; j++) bind[j] = j < 3 ? (float)(i == j) : (float)-p[i];
    }
+}
+void ex_made_pose(const ex_made *m, unsigned number, float *palette)
+{
+   uint64_t seed = 1000003u + number;
+   size_t s;
+   for (s = 0; s < m->joints; s++) pose_joint(m->joints, s, &seed, palette, NULL);
 }
 ex_made *ex_made_mesh(size_t vertices, size_t joints, double thick, int shuffle)
 {
@@ -294,7 +300,7 @@ ex_made *ex_made_mesh(size_t vertices, size_t joints, double thick, int shuffle)
       uint32_t other = (uint32_t)(((uint64_t)ex_random(&seed) * (v + 1)) >> 31), swap = place[v];
       place[v] = place[other], place[other] = swap;
    }
-   for (k = 0; k < joints; k++) pose_joint(m, k, &seed);
+   for (k = 0; k < joints; k++) pose_joint(joints, k, &seed, m->palette, m->inverse_bind);
    for (i = 0; i < m->around; i++)
       for (j = 0; j < m->about; j++) {
          size_t right = (i + 1) % m->around * m->about, up = (j + 1) % m->about;

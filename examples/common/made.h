@@ -26,6 +26,8 @@ typedef struct ex_made {
 } ex_made;
 /*  about `vertices` of them, at least 12; thick: radius of the ring's tube over that of its core; order by rows, or shuffled */
 ex_made *ex_made_mesh(size_t vertices, size_t joints, double thick, int shuffle);
+/*  another palette (S,12) for it */
+void ex_made_pose(const ex_made *m, unsigned number, float *palette);
 void ex_made_free(ex_made *m); /* NULL is allowed */
 
 #endif

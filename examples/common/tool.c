@@ -72,6 +72,12 @@ int ex_read_whole(const char *s, long low, long high, long *value)
    *value = strtol(s, &end, 10);
    return end != s && !*end && errno == 0 && *value >= low && *value <= high;
 }
+int ex_precision_named(const char *name)
+{
+   int p = DN_PRECISION_COUNT;
+   while (--p >= 0 && strcmp(name, dn_precision_name((dn_precision)p)) != 0) {}
+   return p;
+}
 unsigned ex_processors(void)
 {
    long n = sysconf(_SC_NPROCESSORS_ONLN);

@@ -20,6 +20,8 @@ double ex_median(double *x, size_t n);
 int ex_ends_with(const char *s, const char *end);
 /*  a whole number from low to high and nothing else; 0: it is not */
 int ex_read_whole(const char *s, long low, long high, long *value);
+/*  the precision of that name, "f32", "bf16" ..; -1: there is none */
+int ex_precision_named(const char *name);
 /*  how many threads a program uses that was not told: the processors, 8 at most */
 unsigned ex_processors(void);
 /*  a file that ships with the examples, from the working directory or beside the program; path is where it was found, or
