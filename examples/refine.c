@@ -27,11 +27,12 @@
 /* ===================================================================================== >>small things */
 static const char usage[] =
    "usage: refine [--model M.safetensors] [--character C.glb|C.safetensors] [--motion A.glb] [--animation NAME]\n"
-   "              [--frames a:b] [--truth T.safetensors] [--threads n]\n"
+   "              [--frames a:b] [--truth T.safetensors] [--threads n] [--precision f32|f16|bf16|int8]\n"
    "              [--every k [--lead x] [--ahead]]\n"
    "              [--out O.glb|O.safetensors] [--picture P.png] [--json R.json]\n"
    "  without --character, --motion and --truth: the bundled demo\n"
    "  --frames a:b  frames a, a+1 .. b-1 (either may be left out); with --truth, by the truth's own frame numbers\n"
+   "  --precision   what the network computes in (f32); int8 needs a model with ranges: calibrate makes one\n"
    "  --truth       evaluates the truth's poses; frames that it marks as not settled are left out and counted\n"
    "                with --motion: plays that motion in full, and compares the frames that the truth has\n"
    "  --every k     beside the plain run, one with the network in every k-th frame only, and what that costs and saves\n"
@@ -64,6 +65,7 @@ typedef struct options {
    const char *model, *character, *motion, *animation, *truth, *out, *picture, *json;
    long first, end; /* frames */
    unsigned threads;
+   dn_precision precision;
    unsigned every;  /* 0: no second run */
    float lead;
    int ahead;
@@ -112,12 +114,15 @@ static int read_options(options *o, int argc, char **argv)
          continue;
       }
       if (!text && strcmp(key, "--threads") != 0 && strcmp(key, "--frames") != 0 && strcmp(key, "--every") != 0 &&
-          strcmp(key, "--lead") != 0)
+          strcmp(key, "--lead") != 0 && strcmp(key, "--precision") != 0)
          return ex_say("unknown argument \"%s\" (--help lists them)", key);
       if (!value) return ex_say("%s needs a value", key);
       i++;
       if (text) *text = value;
-      else if (strcmp(key, "--threads") == 0) {
+      else if (strcmp(key, "--precision") == 0) {
+         if (ex_precision_named(value) < 0) return ex_say("--precision %s: expected f32, f16, bf16 or int8", value);
+         o->precision = (dn_precision)ex_precision_named(value);
+      } else if (strcmp(key, "--threads") == 0) {
          if (read_number(value, &rest, &n) || *rest || n < 1 || n > 256) return ex_say("--threads %s: expected 1 to 256", value);
          o->threads = (unsigned)n;
       } else if (strcmp(key, "--every") == 0) {
@@ -525,9 +530,9 @@ static void print_report(const job *j, const char *model, const char *character)
    if (j->truth.file && j->o.motion) printf(", %zu compared with the truth, %zu of it had not settled", j->compared, j->unsettled);
    else if (j->truth.file) printf(" of the truth, %zu that had not settled left out", j->unsettled);
    printf("\nbind        %.0f ms, once\n", j->ms_bind);
-   printf("per frame   skin %.2f + features %.2f + network %.2f + normals %.2f: %.2f ms (medians; %u thread%s, %s)\n",
+   printf("per frame   skin %.2f + features %.2f + network %.2f + normals %.2f: %.2f ms (medians; %u thread%s, %s, %s)\n",
           j->ms_stage[SKIN], j->ms_stage[FEATURES], j->ms_stage[NETWORK], j->ms_stage[NORMALS], j->ms_total,
-          j->parallel.workers, j->parallel.workers == 1 ? "" : "s", dn_kernel_name(DN_KERNEL_AUTO));
+          j->parallel.workers, j->parallel.workers == 1 ? "" : "s", dn_precision_name(j->info.precision), dn_kernel_name(j->info.kernel));
    printf("memory      model %.2f MB, rig %.2f MB, scratch %.2f MB\n", (double)j->info.bytes * mb, (double)j->view.bytes * mb,
           (double)j->scratch_bytes * mb);
    if (j->fallback_frames)
@@ -615,7 +620,8 @@ static int write_json(const job *j)
       json_figure(f, "budget_apart_p99_cm", 1, b->gaps.p99);
       json_figure(f, "budget_jump_p99_cm", j->frames > 2, b->jumps.p99);
    }
-   fprintf(f, ",\n  \"fallback_nodes\": %zu,\n  \"kernels\": \"%s\"\n}\n", j->fallback_nodes, dn_kernel_name(DN_KERNEL_AUTO));
+   fprintf(f, ",\n  \"fallback_nodes\": %zu,\n  \"kernels\": \"%s\",\n  \"precision\": \"%s\"\n}\n", j->fallback_nodes, dn_kernel_name(j->info.kernel),
+           dn_precision_name(j->info.precision));
    bad = ferror(f) != 0;
    bad |= fclose(f) != 0;
    return bad ? ex_say("%s: writing failed", j->o.json) : 0;
@@ -720,6 +726,7 @@ static int run(job *j, int argc, char **argv)
    char paths[3][1024], error[EX_ERROR];
    const char *program = argc ? argv[0] : "refine", *model, *character, *motion;
    dn_error err;
+   dn_model_options chosen;
    double t0;
    size_t i, n;
    int bundled_character;
@@ -732,7 +739,9 @@ static int run(job *j, int argc, char **argv)
    character = bundled_character ? ex_bundled(program, "demo/humanoid.safetensors", paths[2], sizeof paths[2]) : j->o.character;
    motion = j->o.motion ? j->o.motion : j->o.truth ? j->o.truth : character;
 
-   j->model = dn_model_load_file(model, NULL, NULL, &err);
+   memset(&chosen, 0, sizeof chosen);
+   chosen.precision = j->o.precision;
+   j->model = dn_model_load_file(model, &chosen, NULL, &err);
    if (!j->model) return ex_say_error(model, &err);
    dn_model_describe(j->model, &j->info);
    j->scene = ex_scene_load(character, error);
