@@ -4210,6 +4210,13 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
 #else
    #define DN__IN_MEMORY() (void)0
 #endif
+#if defined(__GNUC__) || defined(__clang__)
+   #define DN__SOON(p) __builtin_prefetch(p, 1) /* will be written */
+#elif defined(DN__HAS_AVX2)
+   #define DN__SOON(p) _mm_prefetch((const char *)(p), _MM_HINT_T0)
+#else
+   #define DN__SOON(p) (void)(p)
+#endif
 /* Each text offers these. A tile is some rows of x times one panel of weights, or two side by side; every y adds its
    terms c = 0 .. in-1 in an order that only its column decides, so results do not depend on how rows are grouped. */
 typedef struct dn__target { float *at; size_t stride; } dn__target; /* where a tile puts the 16 columns of a panel */
@@ -4503,7 +4510,8 @@ typedef struct dn__sixteen { float f[16]; } dn__sixteen;
 DN__TARGET_AVX512 static void dn__tile2_avx512(const float *x, size_t x_stride, size_t in, const float *w,
                                                const float *columns, float *total, const dn__target *y)
 {
-   const float *x0 = x, *x4 = x + 4 * x_stride, *u = w + in * DN_PANEL;
+   const float *x0 = x, *x1 = x0 + x_stride, *x2 = x1 + x_stride, *x3 = x2 + x_stride, *x4 = x3 + x_stride,
+               *x5 = x4 + x_stride, *x6 = x5 + x_stride, *u = w + in * DN_PANEL;
    __m512 w0 = dn__start_avx512(columns, 0), w1 = dn__start_avx512(columns, DN__COLUMN), v;
    size_t c = 0;
    (void)total; /* kept in registers */
@@ -4518,12 +4526,12 @@ DN__TARGET_AVX512 static void dn__tile2_avx512(const float *x, size_t x_stride, 
       DN__EACH7(DN__PRODUCT)                                                                                 \
    }
 #define DN__PRODUCT(r)                                                                                       \
-   DN__ALL_OF(v, (r < 4 ? x0 : x4) + r % 4 * x_stride + K);                                                  \
+   DN__ALL_OF(v, x##r + c + K);                                                                              \
    DN__FMA(a##r, v, w0);                                                                                     \
    DN__FMA(b##r, v, w1);
 #define DN__LEFT(r) DN__CARRY(a##r, s##r)
 #define DN__RIGHT(r) DN__CARRY(b##r, t##r)
-#define DN__STEP(n) c += n, w += n * DN_PANEL, u += n * DN_PANEL, x0 += n, x4 += n;
+#define DN__STEP(n) c += n, w += n * DN_PANEL, u += n * DN_PANEL;
 #define DN__STORE(r)                                                                                         \
    _mm512_storeu_ps(y->at + r * y->stride, dn__bn_avx512(_mm512_add_ps(s##r, a##r), w0, w1, v));
 #define DN__STORE2(r)                                                                                        \
@@ -4898,7 +4906,8 @@ DN_API const char *dn_precision_name(dn_precision precision)
    there are fewer rows than a tile has, they go one by one, each as all rows of a tile. A last panel that sticks out
    past `out` goes through a buffer.
    Panels outside, rows inside, some rows at a time: these stay in the second-level cache while the weights pass through
-   the first. */
+   the first. The places that the next panels will fill are asked for meanwhile: where y has left the caches, 504 -> 512
+   columns go from 200 to 235 GFLOP/s of 256. */
 #define DN__BLOCK_ROWS ((size_t)84)
 typedef struct dn__product_job {
    const dn_linear *l;
@@ -4915,14 +4924,24 @@ static dn__target dn__product_target(const dn__product_job *j, size_t r, size_t 
    p.at = plain ? j->z + r * p.stride + column : j->y + r * p.stride + (column - j->plain);
    return p;
 }
-/* panels p to p + panels - 1, one or two, of rows begin to end - 1; those from `first` on are there already */
-static void dn__product_panels(const dn__product_job *j, size_t p, size_t panels, size_t begin, size_t end, size_t first)
+/* inline: gcc 12 finds that a function of prefetches does nothing, and leaves its calls out */
+static DN__INLINE void dn__product_ahead(const dn__product_job *j, size_t r, size_t column, size_t rows)
+{
+   size_t i, q;
+   for (q = 0; q < 2 && column < j->l->out; q++, column += DN_PANEL) {
+      dn__target to = dn__product_target(j, r, column);
+      for (i = 0; i < rows; i++) DN__SOON(to.at + i * to.stride);
+   }
+}
+/* panels p to p + panels - 1, one or two, of rows begin to end - 1 of first to last - 1 */
+static void dn__product_panels(const dn__product_job *j, size_t p, size_t panels, size_t begin, size_t end, size_t first,
+                               size_t last)
 {
    const dn_linear *l = j->l;
    const dn__tile *tile = panels == 2 ? &j->k->two : &j->k->one;
    const float *w = l->panels + p * l->in * DN_PANEL, *n = l->columns ? l->columns + p * DN__COLUMN : NULL;
    float buffer[2][DN__TILE_ROWS * DN_PANEL], total[DN__TILE_ROWS * DN_PANEL];
-   size_t r, rows, q;
+   size_t r, rows, q, next = (p + panels) * DN_PANEL;
    for (r = begin; r < end; r += rows) {
       dn__target to[2], place[2];
       rows = tile->rows;
@@ -4932,6 +4951,8 @@ static void dn__product_panels(const dn__product_job *j, size_t p, size_t panels
          place[q] = to[q] = dn__product_target(j, r, (p + q) * DN_PANEL);
          if (rows == 1 || (p + q + 1) * DN_PANEL > l->out) place[q].at = buffer[q], place[q].stride = DN_PANEL;
       }
+      if (rows > 1 && next < l->out) dn__product_ahead(j, r, next, rows);
+      else if (last - r >= DN__BLOCK_ROWS + rows) dn__product_ahead(j, r + DN__BLOCK_ROWS, 0, rows);
       tile->run(j->x + r * j->x_stride, rows == 1 ? 0 : j->x_stride, l->in, w, n, total, place);
       for (q = 0; q < panels; q++) {
          size_t at = (p + q) * DN_PANEL, fit = dn__min(DN_PANEL, l->out - at), i, c;
@@ -4956,7 +4977,7 @@ static void dn__product_split(const dn_linear *l, const float *x, size_t x_strid
       size_t to = dn__min(end, r + DN__BLOCK_ROWS);
       for (p = 0; p < all; p += panels) {
          panels = j.k->two.rows && all - p >= 2 ? 2 : 1;
-         dn__product_panels(&j, p, panels, r, to, begin);
+         dn__product_panels(&j, p, panels, r, to, begin, end);
       }
    }
    for (i = begin; l->activation == DN_ACT_SOFTMAX && i < end; i++) dn__softmax(y + i * y_stride, l->out);
@@ -13787,6 +13808,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__RUN
 #undef DN__RUN_SHORT
 #undef DN__SEEDS
+#undef DN__SOON
 #undef DN__SOURCE
 #undef DN__TANH_0
 #undef DN__TANH_1
