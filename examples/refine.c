@@ -28,7 +28,7 @@
 static const char usage[] =
    "usage: refine [--model M.safetensors] [--character C.glb|C.safetensors] [--motion A.glb] [--animation NAME]\n"
    "              [--frames a:b] [--truth T.safetensors] [--threads n] [--precision f32|f16|bf16|int8]\n"
-   "              [--every k [--lead x] [--ahead]]\n"
+   "              [--every k [--lead x] [--ahead]] [--coarse share]\n"
    "              [--out O.glb|O.safetensors] [--picture P.png] [--json R.json]\n"
    "  without --character, --motion and --truth: the bundled demo\n"
    "  --frames a:b  frames a, a+1 .. b-1 (either may be left out); with --truth, by the truth's own frame numbers\n"
@@ -37,7 +37,8 @@ static const char usage[] =
    "                with --motion: plays that motion in full, and compares the frames that the truth has\n"
    "  --every k     beside the plain run, one with the network in every k-th frame only, and what that costs and saves\n"
    "  --lead x      ... aims past each evaluation by x of its step, 0 .. 1; default 0.5\n"
-   "  --ahead       ... evaluates the pose of k - 1 frames on, as a program can that knows the motion; lead 0\n";
+   "  --ahead       ... evaluates the pose of k - 1 frames on, as a program can that knows the motion; lead 0\n"
+   "  --coarse x    the second run's network sees that share of the nodes, 0 .. 1; with --every or alone\n";
 
 static int by_float(const void *a, const void *b)
 {
@@ -67,7 +68,7 @@ typedef struct options {
    unsigned threads;
    dn_precision precision;
    unsigned every;  /* 0: no second run */
-   float lead;
+   float lead, coarse; /* coarse 0: the full mesh */
    int ahead;
 } options;
 
@@ -114,7 +115,7 @@ static int read_options(options *o, int argc, char **argv)
          continue;
       }
       if (!text && strcmp(key, "--threads") != 0 && strcmp(key, "--frames") != 0 && strcmp(key, "--every") != 0 &&
-          strcmp(key, "--lead") != 0 && strcmp(key, "--precision") != 0)
+          strcmp(key, "--lead") != 0 && strcmp(key, "--coarse") != 0 && strcmp(key, "--precision") != 0)
          return ex_say("unknown argument \"%s\" (--help lists them)", key);
       if (!value) return ex_say("%s needs a value", key);
       i++;
@@ -128,6 +129,8 @@ static int read_options(options *o, int argc, char **argv)
       } else if (strcmp(key, "--every") == 0) {
          if (read_number(value, &rest, &n) || *rest || n < 1 || n > 1000) return ex_say("--every %s: expected 1 to 1000", value);
          o->every = (unsigned)n;
+      } else if (strcmp(key, "--coarse") == 0) {
+         if (read_share(value, 1e-4f, 1, &o->coarse)) return ex_say("--coarse %s: expected a share above 0, at most 1", value);
       } else if (strcmp(key, "--lead") == 0) {
          if (read_share(value, 0, 1, &o->lead)) return ex_say("--lead %s: expected 0 to 1", value);
       } else {
@@ -139,6 +142,7 @@ static int read_options(options *o, int argc, char **argv)
    }
    if (o->out && !ex_ends_with(o->out, ".glb") && !ex_ends_with(o->out, ".safetensors"))
       return ex_say("--out %s: expected a name ending in .glb or .safetensors", o->out);
+   if (o->coarse > 0 && !o->every) o->every = 1;
    if ((o->ahead || o->lead >= 0) && !o->every) return ex_say("--lead and --ahead belong to --every");
    if (o->ahead && o->lead > 0) return ex_say("--ahead needs no --lead: its evaluations come in time");
    if (o->lead < 0) o->lead = o->ahead || o->every < 2 ? 0 : 0.5f;
@@ -200,7 +204,9 @@ static int show_progress(void *user, const char *stage, float done)
    return 0;
 }
 
-static dn_rig *bind(const dn_model *model, const ex_scene *s, const dn_parallel *parallel, dn_report *report, dn_error *err)
+/* coarse: NULL, or the mesh to bind in place of the scene's */
+static dn_rig *bind(const dn_model *model, const ex_scene *s, const dn_coarse *coarse, const dn_parallel *parallel, dn_report *report,
+                    dn_error *err)
 {
    dn_rig_desc d;
    dn_skin_set set;
@@ -210,6 +216,7 @@ static dn_rig *bind(const dn_model *model, const ex_scene *s, const dn_parallel 
    if (isatty(2)) progress.step = show_progress;
    d.progress = &progress;
    d.parallel = parallel;
+   if (coarse) dn_coarse_describe(coarse, &d, &d);
    return dn_rig_create(model, &d, NULL, report, err);
 }
 
@@ -220,6 +227,12 @@ typedef struct budget {
    void *track_block, *scratch_block, *scratch;
    size_t scratch_bytes;
    float *correction;                /* (N,3) */
+   dn_coarse coarse;                 /* with --coarse: the mesh that the network runs on */
+   dn_rig *coarse_rig;
+   void *coarse_block, *coarse_scratch_block, *coarse_scratch;
+   size_t coarse_scratch_bytes;
+   float *coarse_correction;         /* (M,3) */
+   double ms_coarse;                 /* to make and bind it */
    float *positions, *normals;       /* (V,3) */
    float *error;                     /* (compared,V) with a truth */
    float *gap;                       /* (frames,V) to the plain run */
@@ -383,6 +396,29 @@ static void *take_aligned(size_t bytes, void **block) /* 64 bytes; *block is wha
    *block = bytes > SIZE_MAX - 63 ? NULL : ex_take(bytes + 63, 1);
    return *block ? (void *)(((uintptr_t)*block + 63) & ~(uintptr_t)63) : NULL;
 }
+static int budget_coarse(job *j)
+{
+   budget *b = &j->budget;
+   size_t bytes, scratch_bytes;
+   void *memory, *scratch, *block = NULL;
+   dn_report report;
+   dn_error err;
+   double t0 = ex_now_ms();
+   if (dn_coarse_size(j->rig, &bytes, &scratch_bytes, &err) != DN_OK) return ex_say_error("--coarse", &err);
+   memory = take_aligned(bytes, &b->coarse_block);
+   scratch = take_aligned(scratch_bytes, &block);
+   if (!memory || !scratch) return free(block), ex_say("out of memory");
+   if (dn_coarse_init(j->rig, j->o.coarse, memory, bytes, scratch, scratch_bytes, &b->coarse, &err) != DN_OK)
+      return free(block), ex_say_error("--coarse", &err);
+   free(block);
+   b->coarse_rig = bind(j->model, j->scene, &b->coarse, &j->parallel, &report, &err);
+   if (!b->coarse_rig) return ex_say_error("--coarse", &err);
+   b->ms_coarse = ex_now_ms() - t0;
+   b->coarse_scratch_bytes = dn_scratch_size(b->coarse_rig, j->parallel.workers);
+   b->coarse_scratch = take_aligned(b->coarse_scratch_bytes, &b->coarse_scratch_block);
+   b->coarse_correction = (float *)ex_take(b->coarse.nodes, 12);
+   return b->coarse_scratch && b->coarse_correction ? 0 : ex_say("out of memory");
+}
 static int budget_allocate(job *j)
 {
    budget *b = &j->budget;
@@ -398,7 +434,8 @@ static int budget_allocate(job *j)
    bad |= !(b->jump = (float *)ex_take(j->frames * v, 4));
    for (i = 0; i < 2; i++) bad |= !(b->before[i] = (float *)ex_take(v, 12));
    bad |= !(b->ms_carry = (double *)ex_take(j->frames, sizeof(double))) || !(b->ms_evaluate = (double *)ex_take(j->frames, sizeof(double)));
-   return bad ? ex_say("out of memory for %zu frames of %zu vertices", j->frames, v) : 0;
+   if (bad) return ex_say("out of memory for %zu frames of %zu vertices", j->frames, v);
+   return j->o.coarse > 0 ? budget_coarse(j) : 0;
 }
 
 /* frame i again: the network when it is due, else only what it found before. palette is overwritten with --ahead */
@@ -421,7 +458,10 @@ static int budget_frame(job *j, size_t i, size_t at, float *palette, const float
    if (j->o.ahead && i % every == 0) ex_pose(j->scene, j->motion, j->frame[i + every <= j->frames ? i + every - 1 : j->frames - 1], palette);
    t0 = ex_now_ms();
    if (i % every == 0) {
-      r = dn_evaluate(j->rig, &pose, b->correction, j->scratch, j->scratch_bytes, &j->parallel, &err);
+      if (b->coarse_rig) {
+         r = dn_evaluate(b->coarse_rig, &pose, b->coarse_correction, b->coarse_scratch, b->coarse_scratch_bytes, &j->parallel, &err);
+         dn_spread(&b->coarse, b->coarse_rig, b->coarse_correction, b->correction, &j->parallel);
+      } else r = dn_evaluate(j->rig, &pose, b->correction, j->scratch, j->scratch_bytes, &j->parallel, &err);
       if (r == DN_OK || r == DN_NOT_FINITE) dn_track_put(&b->track, b->correction, (float)every, j->o.lead);
    }
    t1 = ex_now_ms();
@@ -460,6 +500,8 @@ static void budget_measure(job *j)
 
 static void budget_free(budget *b)
 {
+   dn_rig_free(b->coarse_rig);
+   free(b->coarse_block), free(b->coarse_scratch_block), free(b->coarse_correction);
    free(b->track_block), free(b->scratch_block), free(b->correction), free(b->positions), free(b->normals), free(b->error), free(b->gap);
    free(b->jump), free(b->before[0]), free(b->before[1]), free(b->ms_carry), free(b->ms_evaluate);
 }
@@ -558,13 +600,20 @@ static void print_report(const job *j, const char *model, const char *character)
 static void print_budget(const job *j)
 {
    const budget *b = &j->budget;
+   size_t bytes = b->scratch_bytes + dn_track_size(j->view.nodes) + 12 * j->view.nodes;
    const double network = b->ms_evaluated * (double)b->evaluations / (double)j->frames;
    printf("budget      the network in %zu of %zu frames", b->evaluations, j->frames);
    if (j->o.ahead) printf(", each ahead of its time");
    else if (j->o.every > 1) printf(", lead %.2g", (double)j->o.lead);
+   if (b->coarse_rig) {
+      dn_rig_view view;
+      dn_rig_describe(b->coarse_rig, &view);
+      printf(", on %zu of %zu nodes (bound in %.0f ms)", b->coarse.nodes, j->view.nodes, b->ms_coarse);
+      bytes += b->coarse.bytes + view.bytes + b->coarse_scratch_bytes + 12 * b->coarse.nodes;
+   }
    printf("\n  time      network %.2f + other %.2f: %.2f ms on average, %.2f of the plain run (medians); %.2f MB more\n", network,
           b->ms_carried, b->ms_mean, b->ms_mean / j->ms_total,
-          (double)(b->scratch_bytes + dn_track_size(j->view.nodes) + 12 * j->view.nodes) / (1024 * 1024));
+          (double)bytes / (1024 * 1024));
    if (j->truth.file) {
       printf("  error, cm %8.3f %8.3f %8.3f\n", b->ours.mean, b->ours.p99, b->ours.max);
       if (j->lbs.mean > 0 && j->lbs.p99 > 0 && j->lbs.max > 0)
@@ -756,7 +805,7 @@ static int run(job *j, int argc, char **argv)
    if (j->o.threads > 1 && !(j->pool = ex_pool_create(j->o.threads))) return ex_say("cannot start %u threads", j->o.threads);
    j->parallel = ex_pool_parallel(j->pool);
    t0 = ex_now_ms();
-   j->rig = bind(j->model, j->scene, &j->parallel, &j->report, &err);
+   j->rig = bind(j->model, j->scene, NULL, &j->parallel, &j->report, &err);
    if (!j->rig) return ex_say_error(character, &err);
    j->ms_bind = ex_now_ms() - t0;
    dn_rig_describe(j->rig, &j->view);

@@ -451,6 +451,298 @@ TEST(too_little_memory_and_numbers_that_are_none)
    dn_model_free(m);
 }
 
+/* --- coarse meshes */
+typedef struct thin { dn_coarse c; void *memory; dn_result code; } thin;
+static thin thin_of(const dn_rig *full, float share, int garbage)
+{
+   thin t;
+   size_t bytes, scratch_bytes;
+   void *scratch;
+   dn_error e;
+   memset(&t, 0, sizeof t);
+   CHECK(dn_coarse_size(full, &bytes, &scratch_bytes, &e) == DN_OK);
+   t.memory = test_aligned(bytes), scratch = test_aligned(scratch_bytes);
+   memset(t.memory, garbage, bytes), memset(scratch, garbage, scratch_bytes);
+   t.code = dn_coarse_init(full, share, t.memory, bytes, scratch, scratch_bytes, &t.c, &e);
+   CHECK_MSG(t.code == DN_OK, "%s", t.code == DN_OK ? "" : e.info);
+   CHECK(t.c.bytes <= bytes);
+   test_aligned_free(scratch);
+   return t;
+}
+/* what must hold of every coarse mesh; returns how many numbers were looked at */
+static size_t thin_sound(const thin *t, const dn_rig_view *v)
+{
+   const dn_coarse *c = &t->c;
+   const uint32_t *q = (const uint32_t *)c->mesh.indices;
+   size_t i, k, m, sum_bad = 0, own_bad = 0, strange = 0, kept = 0;
+   uint32_t *coarse_of = (uint32_t *)test_block(v->nodes * 4), *label = (uint32_t *)test_block(v->nodes * 8);
+   CHECK(c->full == v->nodes && c->nodes >= 1 && c->nodes <= v->nodes && c->mesh.vertices == c->nodes);
+   memset(coarse_of, 0xff, v->nodes * 4);
+   for (m = 0; m < c->nodes; m++) {
+      size_t n = c->node[m], from = v->first_vertex[n];
+      CHECK(n < v->nodes && coarse_of[n] == 0xffffffffu);
+      CHECK(m == 0 || v->first_vertex[c->node[m - 1]] < v->first_vertex[n]);
+      coarse_of[n] = (uint32_t)m;
+      own_bad += memcmp(c->mesh.positions + 3 * m, v->rest + 3 * n, 12) != 0;
+      own_bad += memcmp(c->skin_joint + v->influences * m, v->skin_joint + v->influences * from, 4 * v->influences) != 0;
+      own_bad += memcmp(c->skin_weight + v->influences * m, v->skin_weight + v->influences * from, 4 * v->influences) != 0;
+   }
+   for (i = 0; i < c->mesh.triangles; i++)
+      CHECK(q[3 * i] < c->nodes && q[3 * i + 1] < c->nodes && q[3 * i + 2] < c->nodes && q[3 * i] != q[3 * i + 1] &&
+            q[3 * i + 1] != q[3 * i + 2] && q[3 * i + 2] != q[3 * i]);
+   dn__graph_components(&v->graph, label, label + v->nodes);
+   for (i = 0; i < v->nodes; i++) {
+      double sum = 0;
+      for (k = 0; k < 3; k++) {
+         float w = c->spread_weight[3 * i + k];
+         CHECK(c->spread_node[3 * i + k] < c->nodes && w >= 0 && w <= 1);
+         sum += (double)w;
+         strange += label[c->node[c->spread_node[3 * i + k]]] != label[i]; /* another part of the mesh */
+      }
+      sum_bad += !(fabs(sum - 1) <= 1e-6);
+      if (coarse_of[i] == 0xffffffffu) continue;
+      kept++;
+      own_bad += c->spread_node[3 * i] != coarse_of[i] || c->spread_weight[3 * i] != 1 || c->spread_weight[3 * i + 1] != 0 ||
+                 c->spread_weight[3 * i + 2] != 0;
+   }
+   CHECK_MSG(sum_bad == 0 && own_bad == 0 && strange == 0 && kept == c->nodes, "%lu sums, %lu of the kept, %lu across parts",
+             (unsigned long)sum_bad, (unsigned long)own_bad, (unsigned long)strange);
+   free(coarse_of), free(label);
+   return 3 * v->nodes;
+}
+static dn_rig *thin_bind(const thin *t, const dn_model *m, const dn_rig_desc *full, dn_report *report)
+{
+   dn_rig_desc d;
+   dn_error e;
+   dn_rig *r;
+   dn_coarse_describe(&t->c, full, &d);
+   r = dn_rig_create(m, &d, NULL, report, &e);
+   CHECK_MSG(r != NULL, "%s", r ? "" : e.info);
+   return r;
+}
+
+TEST(all_nodes_kept_it_is_dn_deform)
+{
+   size_t skinning, near, f, compared = 0;
+   pair_make(&p0);
+   for (skinning = 0; skinning < 2; skinning++)
+      for (near = 0; near < 2; near++) {
+         dn_model *m = tiny_model(0);
+         dn_rig *rig, *coarse;
+         dn_rig_view view;
+         dn_report report;
+         dn_track track;
+         void *memory;
+         thin t;
+         float *correction = (float *)test_block(PAIR_V * 12), *full = (float *)test_block(PAIR_V * 12);
+         p0.desc.skinning = skinning ? DN_DQS : DN_LBS;
+         p0.desc.order = near ? DN_ORDER_NEAR : DN_ORDER_GIVEN;
+         rig = pair_bind(m, &p0);
+         dn_rig_describe(rig, &view);
+         t = thin_of(rig, 1, 0xa5);
+         compared += thin_sound(&t, &view);
+         CHECK(t.c.nodes == PAIR_V && t.c.mesh.triangles == PAIR_T);
+         coarse = thin_bind(&t, m, &p0.desc, &report);
+         CHECK(report.nodes == PAIR_V && report.components == 2 && report.solid_cells == 0); /* geodesic distances were sampled */
+         track = track_of(PAIR_V, &memory);
+         for (f = 0; f < 4; f++) {
+            dn_pose pose = pose_of(p0.palette);
+            double d;
+            pair_pose(&p0, 0.25 * (double)f, 0.4 * (double)f);
+            deform(rig, &pose, &a0);
+            CHECK(evaluate(coarse, &pose, correction, NULL) == DN_OK);
+            dn_spread(&t.c, coarse, correction, full, NULL);
+            dn_track_put(&track, full, 0, 0);
+            pose.strength = 1;
+            carry(rig, &pose, &track, NULL, &b0);
+            d = furthest(a0.positions, b0.positions, 3 * PAIR_V);
+            CHECK_MSG(d <= 1e-6, "frame %lu: %.1e", (unsigned long)f, d);
+         }
+         free(correction), free(full);
+         test_aligned_free(memory), test_aligned_free(t.memory);
+         dn_rig_free(coarse);
+         dn_rig_free(rig);
+         dn_model_free(m);
+      }
+   AT_LEAST(compared, 12 * PAIR_V, "weights");
+}
+
+TEST(fewer_nodes_keep_borders_and_parts)
+{
+   static const float shares[5] = {0.75f, 0.5f, 0.25f, 0.1f, 0.001f};
+   static const unsigned counts[3] = {2, 3, 7};
+   size_t s, k, i, compared = 0;
+   dn_model *m = tiny_model(0);
+   dn_rig *rig;
+   dn_rig_view view;
+   pair_make(&p0);
+   rig = pair_bind(m, &p0);
+   dn_rig_describe(rig, &view);
+   for (s = 0; s < 5; s++) {
+      thin t = thin_of(rig, shares[s], 0xa5), again = thin_of(rig, shares[s], 0x5a);
+      dn_report report;
+      dn_rig *coarse = thin_bind(&t, m, &p0.desc, &report);
+      dn_rig_view cv;
+      float *x = (float *)test_block(view.nodes * 12), *y = (float *)test_block(view.nodes * 12), *z = (float *)test_block(view.nodes * 12);
+      double worst = 0, ends[2] = {9, -9};
+      size_t wanted = (size_t)((double)shares[s] * PAIR_V + 0.5);
+      compared += thin_sound(&t, &view);
+      CHECK_MSG(s >= 3 || t.c.nodes == wanted, "%lu nodes, wanted %lu", (unsigned long)t.c.nodes, (unsigned long)wanted);
+      CHECK(t.c.nodes >= wanted && t.c.nodes <= wanted + 40); /* a tube ends as two border triangles with strips between */
+      CHECK(report.components == 2 && report.isolated_nodes == 0 && report.nodes == t.c.nodes && report.seams_welded == 0);
+      CHECK(again.c.nodes == t.c.nodes && memcmp(again.c.spread_weight, t.c.spread_weight, PAIR_V * 12) == 0 &&
+            memcmp(again.c.spread_node, t.c.spread_node, PAIR_V * 12) == 0 && memcmp(again.c.node, t.c.node, 4 * t.c.nodes) == 0);
+      for (i = 0; i < t.c.nodes; i++) {
+         ends[0] = fmin(ends[0], (double)t.c.mesh.positions[3 * i]), ends[1] = fmax(ends[1], (double)t.c.mesh.positions[3 * i]);
+         CHECK(memcmp(t.c.geodesic + PAIR_S * i, view.geodesic + PAIR_S * (size_t)t.c.node[i], PAIR_S * 4) == 0);
+      }
+      CHECK_MSG(ends[0] < 0.01 && ends[1] > 1.15, "from %.3f to %.3f m", ends[0], ends[1]); /* both borders are there */
+      dn_rig_describe(coarse, &cv); /* spreading the places themselves shows how far the coarse surface is from the full one */
+      for (i = 0; i < t.c.nodes; i++) memcpy(x + 3 * (size_t)cv.node_of_vertex[i], t.c.mesh.positions + 3 * i, 12);
+      dn_spread(&t.c, coarse, x, y, NULL);
+      for (i = 0; i < view.nodes; i++) {
+         double d = 0;
+         for (k = 0; k < 3; k++) d += pow((double)y[3 * i + k] - (double)view.rest[3 * i + k], 2);
+         worst = sqrt(d) > worst ? sqrt(d) : worst;
+      }
+      CHECK_MSG(worst <= (s == 0 ? 0.015 : s == 1 ? 0.02 : s == 2 ? 0.04 : 0.2), "share %.3f: %.1f mm", (double)shares[s], 1000 * worst);
+      for (i = 0; i < t.c.nodes; i++) CHECK(memcmp(y + 3 * (size_t)t.c.node[i], view.rest + 3 * (size_t)t.c.node[i], 12) == 0);
+      for (k = 0; k < 3; k++) {
+         unsigned workers = counts[k];
+         dn_parallel par;
+         par.run = uneven, par.user = &workers, par.workers = workers;
+         dn_spread(&t.c, coarse, x, z, &par);
+         CHECK(memcmp(y, z, view.nodes * 12) == 0);
+      }
+      free(x), free(y), free(z);
+      dn_rig_free(coarse);
+      test_aligned_free(t.memory), test_aligned_free(again.memory);
+   }
+   dn_rig_free(rig);
+   dn_model_free(m);
+   AT_LEAST(compared, 15 * PAIR_V, "weights");
+}
+
+/* triangles over points in a plane or where `place` puts them, all on one joint; bound, thinned, checked */
+typedef struct odd { size_t vertices, triangles; float *positions; uint32_t *indices; } odd;
+static size_t odd_check(const odd *o, float share, size_t least, size_t most)
+{
+   dn_rig_desc d;
+   dn_skin_set skin;
+   dn_rig *rig;
+   dn_rig_view view;
+   dn_error e;
+   thin t;
+   uint8_t *joint = (uint8_t *)test_block(o->vertices);
+   float *weight = (float *)test_block(o->vertices * 4);
+   size_t i, checked;
+   memset(&d, 0, sizeof d), memset(&skin, 0, sizeof skin);
+   for (i = 0; i < o->vertices; i++) joint[i] = 0, weight[i] = 1;
+   skin.influences = 1, skin.joints = joint, skin.joint_type = DN_U8, skin.weights = weight, skin.weight_type = DN_F32;
+   d.mesh.vertices = o->vertices, d.mesh.positions = o->positions, d.mesh.triangles = o->triangles, d.mesh.indices = o->indices;
+   d.mesh.index_type = DN_U32, d.mesh.skin_sets = 1, d.mesh.skin = &skin, d.skeleton.joints = 1;
+   rig = dn_rig_create(NULL, &d, NULL, NULL, &e);
+   CHECK_MSG(rig != NULL, "%s", rig ? "" : e.info);
+   dn_rig_describe(rig, &view);
+   t = thin_of(rig, share, 0x5a);
+   checked = thin_sound(&t, &view);
+   CHECK_MSG(t.c.nodes >= least && t.c.nodes <= most, "%lu nodes of %lu", (unsigned long)t.c.nodes, (unsigned long)view.nodes);
+   CHECK(t.c.geodesic == NULL);
+   test_aligned_free(t.memory);
+   dn_rig_free(rig);
+   free(joint), free(weight);
+   return checked;
+}
+static odd odd_of(size_t vertices, size_t triangles)
+{
+   odd o;
+   o.vertices = vertices, o.triangles = triangles;
+   o.positions = (float *)test_block(vertices * 12), o.indices = (uint32_t *)test_block(triangles * 12);
+   memset(o.positions, 0, vertices * 12), memset(o.indices, 0, triangles * 12);
+   return o;
+}
+static void odd_free(odd *o) { free(o->positions), free(o->indices); }
+TEST(meshes_that_are_hardly_meshes)
+{
+   static const uint32_t tetra[12] = {0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3};
+   size_t i, k, n, checked = 0;
+   uint64_t seed = 3;
+   odd o = odd_of(4, 4); /* a tetrahedron has no triangle to spare */
+   for (i = 0; i < 12; i++) o.indices[i] = tetra[i], o.positions[i] = i == 3 || i == 7 || i == 11 ? 1.0f : 0.0f;
+   checked += odd_check(&o, 0.25f, 4, 4);
+   o.triangles = 0; /* points */
+   checked += odd_check(&o, 0.25f, 4, 4);
+   o.triangles = 1;
+   checked += odd_check(&o, 0.25f, 4, 4);
+   odd_free(&o);
+
+   n = 3000; /* a fan of so many spokes, and every triangle twice */
+   o = odd_of(n + 1, 2 * n);
+   for (i = 0; i < n; i++) {
+      o.positions[3 * i + 3] = (float)cos(6.283185 * (double)i / (double)n), o.positions[3 * i + 4] = (float)sin(6.283185 * (double)i / (double)n);
+      o.indices[3 * i + 1] = o.indices[3 * (n + i) + 1] = (uint32_t)i + 1;
+      o.indices[3 * i + 2] = o.indices[3 * (n + i) + 2] = (uint32_t)((i + 1) % n) + 1;
+   }
+   o.triangles = n;
+   checked += odd_check(&o, 0.25f, n / 8, n);
+   o.triangles = 2 * n;
+   checked += odd_check(&o, 0.25f, n / 4, n + 1);
+   odd_free(&o);
+
+   n = 400; /* three sheets that meet in one line, which must stay */
+   o = odd_of(n + 3 * n, 6 * (n - 1));
+   for (i = 0; i < n; i++)
+      for (k = 0; k < 4; k++) {
+         float *p = o.positions + 3 * (k * n + i);
+         p[0] = 0.01f * (float)i;
+         if (k) p[1] = (float)cos(2.1 * (double)k), p[2] = (float)sin(2.1 * (double)k);
+         if (k && i + 1 < n) {
+            uint32_t *q = o.indices + 6 * ((k - 1) * (n - 1) + i), a = (uint32_t)i, b = (uint32_t)(k * n + i);
+            q[0] = a, q[1] = a + 1, q[2] = b, q[3] = a + 1, q[4] = b + 1, q[5] = b;
+         }
+      }
+   checked += odd_check(&o, 0.5f, 2 * n, 2 * n + n / 4);
+   checked += odd_check(&o, 0.01f, n, 2 * n);
+   odd_free(&o);
+
+   for (k = 0; k < 40; k++) { /* soups: random triangles, repeats and needles among them, huge and tiny */
+      float size = k % 4 == 0 ? 1e-30f : k % 4 == 1 ? 1e30f : 1;
+      n = 3 + test_random(&seed) % 120;
+      o = odd_of(n, 2 * n);
+      for (i = 0; i < 3 * n; i++) o.positions[i] = size * (k % 3 ? test_uniform(&seed, -1, 1) : (float)(test_random(&seed) % 3));
+      for (i = 0; i < 6 * n; i++) o.indices[i] = test_random(&seed) % (uint32_t)n;
+      checked += odd_check(&o, 0.3f, 1, n);
+      odd_free(&o);
+   }
+   AT_LEAST(checked, 20000, "weights");
+}
+
+TEST(coarse_meshes_refuse_what_does_not_fit)
+{
+   static const float shares[5] = {0, -0.5f, 1.5f, NAN, 1e30f};
+   dn_rig *rig;
+   dn_error e;
+   dn_coarse c;
+   size_t bytes, scratch_bytes, k;
+   void *memory, *scratch;
+   pair_make(&p0);
+   rig = pair_bind(NULL, &p0);
+   CHECK(dn_coarse_size(rig, &bytes, &scratch_bytes, &e) == DN_OK);
+   memory = test_aligned(bytes), scratch = test_aligned(scratch_bytes);
+   for (k = 0; k < 5; k++) {
+      memset(&e, 0, sizeof e);
+      CHECK(dn_coarse_init(rig, shares[k], memory, bytes, scratch, scratch_bytes, &c, &e) == DN_BAD_VALUE && e.code == DN_BAD_VALUE && e.info[0]);
+   }
+   CHECK(dn_coarse_init(rig, 1, memory, bytes, scratch, scratch_bytes - 1, &c, &e) == DN_TOO_SMALL && strstr(e.info, "scratch"));
+   CHECK(dn_coarse_init(rig, 1, memory, bytes - 1, scratch, scratch_bytes, &c, &e) == DN_TOO_SMALL && strstr(e.info, "memory"));
+   CHECK(dn_coarse_init(rig, 0.5f, memory, bytes, scratch, scratch_bytes, &c, &e) == DN_OK && c.bytes < bytes);
+   k = c.bytes; /* an upper bound: what was used is enough */
+   CHECK(dn_coarse_init(rig, 0.5f, memory, k, scratch, scratch_bytes, &c, &e) == DN_OK && c.bytes == k);
+   CHECK(dn_coarse_init(rig, 0.5f, memory, k - 1, scratch, scratch_bytes, &c, &e) == DN_TOO_SMALL);
+   test_aligned_free(memory), test_aligned_free(scratch);
+   dn_rig_free(rig);
+}
+
 /* --- the demo: a body of 8,357 vertices, its trained model, and the truth of a clip at 24 frames a second */
 typedef struct demo {
    unsigned char *body, *clip, *weights;
@@ -616,6 +908,75 @@ TEST(every_third_frame_of_the_demo)
    AT_LEAST(frames, 12, "frames");
 }
 
+/* Half of the nodes, a quarter, and both together with every second frame; and the coarse demo is still one closed surface */
+TEST(the_demo_on_fewer_nodes)
+{
+   enum { FIRST = 20, STEP = 3, FRAMES = 8 };
+   static const float shares[2] = {0.5f, 0.25f};
+   static demo d;
+   dn_rig *rig;
+   dn_rig_view view;
+   dn_error e;
+   float *correction, *full, *positions, *truth, *palettes;
+   void *scratch, *memory;
+   dn_track track;
+   double plain = 0, skinned = 0;
+   size_t bytes, f, s, checked = 0;
+   demo_open(&d);
+   rig = dn_rig_create(d.model, &d.desc, NULL, NULL, &e);
+   CHECK_MSG(rig != NULL, "%s", rig ? "" : e.info);
+   if (!rig) return;
+   dn_rig_describe(rig, &view);
+   correction = (float *)test_block(view.nodes * 12), full = (float *)test_block(view.nodes * 12);
+   positions = (float *)test_block(d.V * 12), truth = (float *)test_block(d.V * 12);
+   palettes = (float *)test_block(d.palettes->count * 4);
+   dn_tensor_floats(d.palettes, 0, d.palettes->count, palettes);
+   bytes = dn_scratch_size(rig, 1);
+   scratch = test_aligned(bytes);
+   track = track_of(view.nodes, &memory);
+   for (s = 0; s < 3; s++) { /* 0: the full mesh */
+      thin t;
+      dn_rig *coarse = NULL;
+      dn_report report;
+      double sum = 0;
+      memset(&t, 0, sizeof t);
+      if (s) {
+         t = thin_of(rig, shares[s - 1], 0xa5);
+         checked += thin_sound(&t, &view);
+         coarse = thin_bind(&t, d.model, &d.desc, &report);
+         CHECK(report.components == 1 && report.isolated_nodes == 0);
+         CHECK(3 * t.c.mesh.triangles == 2 * report.edges && t.c.nodes + t.c.mesh.triangles == report.edges + 2); /* Euler: a sphere */
+         CHECK(t.c.nodes == (size_t)((double)shares[s - 1] * (double)view.nodes + 0.5));
+      }
+      for (f = 0; f < FRAMES; f++) {
+         dn_pose pose = pose_of(palettes + (FIRST + STEP * f) * d.S * 12);
+         dn_output out;
+         memset(&out, 0, sizeof out);
+         out.positions = positions;
+         CHECK(evaluate(coarse ? coarse : rig, &pose, correction, NULL) == DN_OK);
+         if (coarse) dn_spread(&t.c, coarse, correction, full, NULL);
+         dn_track_put(&track, coarse ? full : correction, 0, 0);
+         CHECK(dn_carry(rig, &pose, &track, &out, scratch, bytes, NULL, &e) == DN_OK);
+         sum += demo_error(&d, FIRST + STEP * f, positions, truth);
+         if (s) continue;
+         pose.strength = 0;
+         CHECK(dn_carry(rig, &pose, &track, &out, scratch, bytes, NULL, &e) == DN_OK);
+         skinned += demo_error(&d, FIRST + STEP * f, positions, truth);
+      }
+      if (s == 0) plain = sum;
+      printf("   %.2f of the nodes %.4f", s ? (double)shares[s - 1] : 1.0, sum / skinned);
+      CHECK(sum < (s == 2 ? 1.12 : 1.03) * plain && sum < 0.7 * skinned);
+      dn_rig_free(coarse);
+      test_aligned_free(t.memory);
+   }
+   printf(" of skinning's %.3f cm\n", skinned / FRAMES);
+   free(correction), free(full), free(positions), free(truth), free(palettes);
+   test_aligned_free(scratch), test_aligned_free(memory);
+   dn_rig_free(rig);
+   demo_close(&d);
+   AT_LEAST(checked, 40000, "weights");
+}
+
 int main(int argc, char **argv)
 {
    TEST_BEGIN(argc, argv);
@@ -625,6 +986,11 @@ int main(int argc, char **argv)
    RUN(turning_the_character_does_not_change_its_correction);
    RUN(threads_do_not_change_a_bit);
    RUN(too_little_memory_and_numbers_that_are_none);
+   RUN(all_nodes_kept_it_is_dn_deform);
+   RUN(fewer_nodes_keep_borders_and_parts);
+   RUN(meshes_that_are_hardly_meshes);
+   RUN(coarse_meshes_refuse_what_does_not_fit);
    RUN(every_third_frame_of_the_demo);
+   RUN(the_demo_on_fewer_nodes);
    return TEST_END();
 }
