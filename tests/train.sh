@@ -96,7 +96,40 @@ last = float(list(csv.DictReader(open(f"{sys.argv[1]}/a.safetensors.csv")))[-1][
 assert abs(first - last) < 0.005, (first, last)
 PY
 ok "two processes" run c.safetensors 30 --processes 2
+ok "150 steps in the gradients' eigenbases" run s.safetensors 150 --optimiser soap
+ok "have learnt as well" $python - "$dir/s.safetensors.csv" << 'PY'
+import csv, sys
+rows = list(csv.DictReader(open(sys.argv[1])))
+print(rows[-1])
+assert float(rows[-1]["new character and motion mean"]) < 0.7, rows[-1]
+PY
+ok "and go on" run s.safetensors 160 --optimiser soap
+ok "a turned matrix takes the same steps, turned" $python - << 'PY'
+import torch
+import train
+torch.manual_seed(2)
+turn = lambda n: torch.linalg.qr(torch.randn(n, n, dtype=torch.double))[0]
+P, Q, valley = turn(12), turn(12), torch.logspace(0, -2, 144, dtype=torch.double).view(12, 12)
+begin = torch.randn(12, 12, dtype=torch.double)
+def end(W, back):
+    W = torch.nn.Parameter(W)
+    optimiser = train.Soap([W], 1e-2)
+    for _ in range(100):
+        W.grad = torch.autograd.grad((valley * back(W) ** 2).sum(), W)[0]
+        optimiser.step()
+    return back(W.detach())
+plain, turned = end(begin.clone(), lambda W: W), end(P @ begin @ Q.T, lambda W: P.T @ W @ Q)
+print((plain - turned).abs().max(), (plain - begin).abs().max())
+assert (plain - turned).abs().max() < 1e-6 and (plain - begin).abs().max() > 0.1
+PY
+ok "a run that does not see the lower joint" run u.safetensors 5 --leave-joints lower
+ok "says so in its model" $python - "$dir/u.safetensors" << 'PY'
+import sys
+import safetensors_io as st
+tensors, meta = st.load(sys.argv[1])
+assert meta["deformnet.joints"] == "upper" and tensors["pre.0.weight"].shape[1] == 3 + 3 + 1 + 1, meta
+PY
 ok "what is trained is what runs: network and dn_deform give the same displacement" $python check_nets.py "$dir/characters/thick.glb"
 ok "the trained model runs in the product, nearer to the truth than skinning" $python evaluate.py --characters "$dir/characters" --truth "$dir/truth" \
-   --only thick --motions others --json "$dir/table.json" "MultiResGNet=$dir/a.safetensors"
+   --only thick --motions others --json "$dir/table.json" "MultiResGNet=$dir/a.safetensors" "upper=$dir/u.safetensors"
 finish

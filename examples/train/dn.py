@@ -47,6 +47,10 @@ class Glb:
         n = int.from_bytes(raw[12:16], "little")
         self.path, self.json, self.bin = path, json.loads(raw[20:20 + n]), raw[28 + n:]
 
+    def joints(self):
+        node = next(n for n in self.json["nodes"] if "mesh" in n and "skin" in n)
+        return [short(self.json["nodes"][n]["name"]) for n in self.json["skins"][node["skin"]]["joints"]]
+
     def accessor(self, index):
         a = self.json["accessors"][index]
         view = self.json["bufferViews"][a["bufferView"]]
@@ -113,8 +117,7 @@ class Character:
         sets = [k for k in range(8) if f"JOINTS_{k}" in at]
         self.skin_joint = np.hstack([g.accessor(at[f"JOINTS_{k}"]) for k in sets]).astype(u32)
         self.skin_weight = np.hstack([g.accessor(at[f"WEIGHTS_{k}"]) for k in sets]).astype(np.float32)
-        nodes = skin["joints"]
-        self.joint_names = [short(g.json["nodes"][n]["name"]) for n in nodes]
+        nodes, self.joint_names = skin["joints"], g.joints()
         child = {c: n for n in nodes for c in g.json["nodes"][n].get("children", [])}
         self.parents = np.array([nodes.index(child[n]) if n in child else -1 for n in nodes], np.int32)
         self.inverse_bind = g.accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)  # row-major
@@ -147,7 +150,8 @@ class Character:
         self.joint_map = np.array([self.joint_names.index(j) for j in joints], u32)
         self.joint_rest = np.ascontiguousarray(self.joint_positions[self.joint_map])
         self.mirror = mirrored(self.model_joints, self.joint_rest)
-        self.geodesic = self.distances(resolution, cache)
+        self.all_geodesic = self.distances(resolution, cache)
+        self.geodesic = np.ascontiguousarray(self.all_geodesic[:, self.joint_map])
         self.partner = np.arange(N, dtype=np.int32)
         self.degree = int(np.diff(self.first).max()) + 1
         self.struct = CharacterStruct(N, I, len(self.joint_names), len(joints), self.degree, *[
@@ -156,8 +160,8 @@ class Character:
                 self.first, self.next, self.geodesic, self.joint_rest, self.joint_map, self.mirror, self.partner)])
 
     def distances(self, resolution, cache):
-        """volumetric geodesic distance (N,S) by the header. Kept in the cache folder under a hash of what it depends on,
-        the header's method included: a coarse solve with few joints stands for that"""
+        """volumetric geodesic distance (N, all joints) by the header. Kept in the cache folder under a hash of what it depends
+        on, the header's method included: a coarse solve with few joints stands for that"""
         def solve(joints, cells):
             out = np.empty((self.nodes, len(joints)), np.float32)
             code = C.dnt_geodesic(ptr(self.rest), size_t(self.nodes), ptr(self.triangle), size_t(len(self.triangle)), ptr(joints),
@@ -166,12 +170,12 @@ class Character:
                 raise RuntimeError(f"{self.path}: geodesic distances: {text(code)}")
             return out
 
-        parts = (self.rest, self.triangle, self.joint_rest, np.array(resolution), solve(self.joint_rest[:3].copy(), 24))
+        parts = (self.rest, self.triangle, self.joint_positions, np.array(resolution), solve(self.joint_positions[:3].copy(), 24))
         key = hashlib.sha256(b"".join(a.tobytes() for a in parts)).hexdigest()[:16]
         kept = os.path.join(cache, f"{self.name}-{key}.safetensors") if cache else None
         if kept and os.path.exists(kept):
             return np.array(st.load(kept)[0]["geodesic"])
-        out = solve(self.joint_rest, resolution)
+        out = solve(self.joint_positions, resolution)
         if kept:
             os.makedirs(cache, exist_ok=True)
             st.save(kept, {"geodesic": out})
@@ -233,12 +237,14 @@ class Deformer:
         names = (ctypes.c_char_p * len(c.joint_names))(*[n.encode() for n in c.joint_names])
         inverse = np.ascontiguousarray(c.inverse_bind[:, :3].astype(np.float32))
         info = ctypes.create_string_buffer(240)
-        known = c.geodesic if model else None
+        seen = st.load(model)[1]["deformnet.joints"].split(",") if model else []
+        known = np.ascontiguousarray(c.all_geodesic[:, [c.joint_names.index(j) for j in seen]]) \
+            if model and set(seen) <= set(c.joint_names) else None
         C.dnt_deformer_new.restype = vp
         self.handle = C.dnt_deformer_new(
             model.encode() if model else None, ptr(c.positions), size_t(len(c.positions)), ptr(c.indices), size_t(len(c.indices)),
             ptr(c.skin_joint), ptr(c.skin_weight), size_t(c.skin_joint.shape[1]), size_t(len(c.joint_names)), names, ptr(c.parents),
-            ptr(inverse), ptr(known), size_t(c.nodes if model else 0), int(dqs), info)
+            ptr(inverse), ptr(known), size_t(0 if known is None else c.nodes), int(dqs), info)
         if not self.handle:
             raise RuntimeError(f"{c.path}: {info.value.decode()}")
 

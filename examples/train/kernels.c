@@ -106,7 +106,7 @@ INLINE void gat_backward(const float *u, size_t ld, const int32_t *table, size_t
    }
 }
 /* constant K and F let the compiler keep a head in one vector register */
-#define SHAPES(X) X(4, 16) X(8, 16) X(4, 8) X(8, 8) X(2, 16) X(6, 16) X(4, 32) X(8, 32)
+#define SHAPES(X) X(4, 16) X(8, 16) X(4, 8) X(8, 8) X(4, 4) X(2, 16) X(6, 16) X(4, 32) X(8, 32)
 API void dnt_gat_forward(const float *u, size_t ld, const int32_t *table, size_t width, const int32_t *degree,
                          const int64_t *offset, size_t patches, size_t K, size_t F, size_t B, float *y, float *alpha)
 {

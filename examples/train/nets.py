@@ -513,7 +513,8 @@ class Baseline(Network):
 SIZES = {  # --arch NAME or NAME:SIZE
     "multiresgnet": (MultiResGNet, {}),
     "multiresgnet:lite": (MultiResGNet, dict(K=4, B=64, post=(128, 64))),
-    "multiresgnet:humanoid": (MultiResGNet, dict(pre=(128, 64), K=4, B=64, post=(160, 64))),  # the shipped model's
+    "multiresgnet:humanoid": (MultiResGNet, dict(pre=(128, 64), K=4, B=64, post=(160, 64))),  # the shipped models'
+    "multiresgnet:humanoid-lite": (MultiResGNet, dict(pre=(64, 32), K=4, Fe=4, B=32, post=(64, 32), pool=8)),
     "multiresgnet:tiny": (MultiResGNet, dict(pre=(64, 32), K=4, Fe=8, B=32, post=(96, 32), pool=8)),
     "densegats": (DenseGATs, {}),
     "mlp": (Baseline, dict(pre=(256, 512, 512, 128))),

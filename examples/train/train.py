@@ -74,6 +74,7 @@ def arguments():
     a("--arch", default="multiresgnet:lite", help=" ".join(nets.SIZES))
     a("--start", default="", help="model file to start from instead of random weights: same --arch, --features and joints")
     a("--features", default="relative,normal,geodesic,distance")
+    a("--leave-joints", default="", help="comma separated: the network does not see joints whose names contain one of these")
     a("--frame", default="root", choices=["root", "model"])
     a("--hold-characters", default="", help="comma separated names, never trained on")
     a("--hold-motions", default="", help="comma separated names, never trained on")
@@ -87,6 +88,7 @@ def arguments():
     a("--loss", default="charbonnier", choices=["mse", "huber", "charbonnier"])
     a("--loss-scale", type=float, default=0.001, help="metres: where huber and charbonnier turn from square to linear")
     a("--rate", type=float, default=2e-3)
+    a("--optimiser", default="adam", choices=["adam", "soap"])
     a("--schedule", default="cosine", choices=["cosine", "plateau"])
     a("--clip", type=float, default=1.0, help="largest norm of a step's gradient")
     a("--freeze", type=float, default=0.7, help="share of the run after which batch norm's statistics stay fixed")
@@ -132,8 +134,10 @@ class Truth:
 
     def character(self, name):
         if name not in self.characters:
-            c = dn.Character(os.path.join(self.o.characters, name + ".glb"), self.joints, cache=self.cache)
-            self.joints = self.joints or c.model_joints  # the first character's order is the model's
+            path, leave = os.path.join(self.o.characters, name + ".glb"), list(filter(None, self.o.leave_joints.split(",")))
+            if not self.joints:  # the first character's order is the model's
+                self.joints = [j for j in dn.Glb(path).joints() if not any(part in j for part in leave)]
+            c = dn.Character(path, self.joints, cache=self.cache)
             self.characters[name] = c
             c.moves, c.poses = np.zeros(c.nodes), 0  # sum of squared displacements, for drawing seeds
         return self.characters[name]
@@ -196,6 +200,53 @@ def tensors(batch, device):
 
 
 # ------------------------------------------------------------------------------------------------ training
+class Soap:
+    """Adam in the eigenbasis of each matrix's gradients (Vyas et al. 2024, SOAP): with L and R the running means of G G'
+    and G' G, the axes are their eigenvectors, refreshed by one step of subspace iteration. What is not a matrix of more
+    than `least` rows and columns is left to plain Adam. Sees the gradients that all processes share, so all stay equal"""
+
+    def __init__(self, params, lr, betas=(0.9, 0.99), eps=1e-8, every=10, least=8):
+        self.params, self.betas, self.eps, self.every, self.least = list(params), betas, eps, every, least
+        self.param_groups, self.steps, self.state = [{"lr": lr}], 0, {}
+
+    def matrix(self, p):
+        return p.dim() == 2 and min(p.shape) > self.least
+
+    def axes(self, s):
+        for side, power in (("L", s["GGt"]), ("R", s["GtG"])):
+            s[side] = torch.linalg.qr(power @ s[side])[0] if side in s else torch.linalg.eigh(power)[1].flip(1).contiguous()
+
+    @torch.no_grad()
+    def step(self):
+        (b1, b2), rate = self.betas, self.param_groups[0]["lr"]
+        self.steps += 1
+        scale = rate * math.sqrt(1 - b2 ** self.steps) / (1 - b1 ** self.steps)
+        for k, p in enumerate(self.params):
+            g, first = p.grad, k not in self.state
+            s = self.state.setdefault(k, {})
+            if first:
+                s["m"], s["v"] = torch.zeros_like(g), torch.zeros_like(g)
+                if self.matrix(p):
+                    s["GGt"], s["GtG"] = g.new_zeros(len(g), len(g)), g.new_zeros(g.shape[1], g.shape[1])
+            s["m"].lerp_(g, 1 - b1)
+            m = s["m"]
+            if self.matrix(p):
+                s["GGt"].lerp_(g @ g.T, 1 - b2)
+                s["GtG"].lerp_(g.T @ g, 1 - b2)
+                if first or self.steps % self.every == 0:
+                    self.axes(s)
+                g, m = s["L"].T @ g @ s["R"], s["L"].T @ m @ s["R"]
+            s["v"].lerp_(g * g, 1 - b2)
+            update = m / (s["v"].sqrt() + self.eps)
+            p.sub_(s["L"] @ update @ s["R"].T if self.matrix(p) else update, alpha=scale)
+
+    def state_dict(self):
+        return {"steps": self.steps, "state": self.state}
+
+    def load_state_dict(self, d):
+        self.steps, self.state = d["steps"], d["state"]
+
+
 class Trainer:
     def __init__(self, o):
         self.o, self.rank, self.world = o, int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
@@ -258,7 +309,8 @@ class Trainer:
         self.flat, self.grad = torch.nn.Parameter(flat), torch.zeros(len(flat) + 1, device=self.device)
         self.flat.grad = self.grad[:-1]  # the last number carries progress, so that all processes agree on it
         self.view(self.net, self.flat.data, self.flat.grad)
-        self.optimiser = torch.optim.Adam([self.flat], lr=self.o.rate)
+        self.optimiser = Soap(self.net.parameters(), self.o.rate) if self.o.optimiser == "soap" else \
+            torch.optim.Adam([self.flat], lr=self.o.rate)
 
     def measure(self):
         """input.mean and .std over the training set, output.std: the root mean square of the moving patches"""
