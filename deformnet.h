@@ -38,7 +38,8 @@
     ROOMS      search for the tag:
                >>config >>types >>bind >>model >>deform >>budget >>layers >>parts >>kit
                >>garments >>dressed >>blendshapes                                      (what you call)
-               >>base >>tensors >>mesh >>skin >>geodesic >>kernels >>lbs >>attention >>pooling
+               >>base >>tensors >>mesh >>skin >>geodesic >>kernels >>lbs >>features >>attention
+               >>pooling
                >>networks >>garmentnets >>rig >>frame >>budget >>kit >>garment >>dressed >>blend (how it works)
     STUDENTS   follow the MAP through the *_ref functions; each cites its equation. Build with DN_NO_SIMD and
                they are what runs (of pooling's contraction still the fast form, tested equal to its _ref).
@@ -2688,32 +2689,31 @@ static void dn__normals_range(const float *positions, const uint32_t *triangle, 
       memcpy(normals + 3 * i, sum, sizeof sum);
    }
 }
-/* The same for what the network reads, in double. low (nodes,3) holds what the floats of positions leave of more
-   exact ones: neighbours lie close together, so it carries most digits of a short edge, and in a folded fan the
-   cross products nearly cancel. On a body of 10,242 nodes plain floats were off by up to 4e-5, this by 1e-7. */
-static void dn__normals_fine_range(const float *positions, const float *low, const uint32_t *triangle,
-                                   const uint32_t *corner_first, const uint32_t *corner_tri, size_t begin, size_t end,
-                                   float *normals)
+/* The same for what the network reads, in double: in a folded fan the cross products nearly cancel. On a body of 10,242
+   nodes plain floats were off by up to 4e-5, this by 1e-7. */
+static void dn__fine_normal(const double sum[3], float normal[3])
+{
+   double length = DN_SQRT(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
+   double scale = length >= 1e-18 && dn__finite((float)length) ? 1.0 / length : 0.0;
+   int k;
+   for (k = 0; k < 3; k++) normal[k] = scale > 0.0 ? (float)(sum[k] * scale) : 0.0f;
+}
+static void dn__normals_fine_range(const double *positions, const uint32_t *triangle, const uint32_t *corner_first,
+                                   const uint32_t *corner_tri, size_t begin, size_t end, float *normals)
 {
    size_t i, e, k;
    for (i = begin; i < end; i++) {
-      double sum[3] = { 0.0, 0.0, 0.0 }, length, scale;
+      double sum[3] = { 0.0, 0.0, 0.0 };
       for (e = corner_first[i]; e < corner_first[i + 1]; e++) {
          const uint32_t *t = triangle + 3 * (size_t)corner_tri[e];
-         size_t a = 3 * (size_t)t[0], b = 3 * (size_t)t[1], c = 3 * (size_t)t[2];
+         const double *p = positions + 3 * (size_t)t[0], *q = positions + 3 * (size_t)t[1], *r = positions + 3 * (size_t)t[2];
          double u[3], v[3];
-         for (k = 0; k < 3; k++) {
-            double p = (double)positions[a + k] + (double)low[a + k];
-            u[k] = (double)positions[b + k] + (double)low[b + k] - p;
-            v[k] = (double)positions[c + k] + (double)low[c + k] - p;
-         }
+         for (k = 0; k < 3; k++) u[k] = q[k] - p[k], v[k] = r[k] - p[k];
          sum[0] += u[1] * v[2] - u[2] * v[1];
          sum[1] += u[2] * v[0] - u[0] * v[2];
          sum[2] += u[0] * v[1] - u[1] * v[0];
       }
-      length = DN_SQRT(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
-      scale = length >= 1e-18 && dn__finite((float)length) ? 1.0 / length : 0.0;
-      for (k = 0; k < 3; k++) normals[3 * i + k] = scale > 0.0 ? (float)(sum[k] * scale) : 0.0f;
+      dn__fine_normal(sum, normals + 3 * i);
    }
 }
 
@@ -2924,6 +2924,26 @@ static void dn__lbs_point(const uint32_t *joint, const float *weight, size_t inf
    dn__lbs_blend_double(joint, weight, influences, palette, m);
    dn__transform_double(m, rest, out);
 }
+/* R^T p: into the frame that the rotation r is of; out may not be p */
+static void dn__unrotate(const float r[9], const double p[3], double out[3])
+{
+   int k;
+   for (k = 0; k < 3; k++) out[k] = (double)r[k] * p[0] + (double)r[3 + k] * p[1] + (double)r[6 + k] * p[2];
+}
+/* LBS of nodes begin..end, turned back by `root` and not rounded. rest (N,3); node i's joints and weights are row
+   vertex[i] of (V,I) */
+static void dn__framed_lbs(const float *rest, const uint32_t *joint, const float *weight, size_t influences,
+                           const uint32_t *vertex, const float *palette, const float root[9], size_t begin, size_t end,
+                           double *out)
+{
+   size_t i;
+   for (i = begin; i < end; i++) {
+      size_t v = vertex[i];
+      double p[3];
+      dn__lbs_point(joint + influences * v, weight + influences * v, influences, palette, rest + 3 * i, p);
+      dn__unrotate(root, p, out + 3 * i);
+   }
+}
 /* points begin..end; row v of joint and weight belongs to point v. >>lbs has the fast texts, and dn_lbs */
 static void dn__lbs_range(const float *rest, const uint32_t *joint, const float *weight, size_t influences,
                           const float *palette, size_t begin, size_t end, float *out)
@@ -3087,9 +3107,11 @@ static void dn__rows_copy(const float *from, size_t width, size_t begin, size_t 
    size_t i;
    for (i = begin; i < end; i++) memcpy(rows + i * stride, from + i * width, width * sizeof *rows);
 }
-static void dn__rows_position(const float *coarse, size_t begin, size_t end, float *rows, size_t stride)
+static void dn__rows_position(const double *positions, size_t begin, size_t end, float *rows, size_t stride)
 {
-   dn__rows_copy(coarse, 3, begin, end, rows, stride);
+   size_t i, k;
+   for (i = begin; i < end; i++)
+      for (k = 0; k < 3; k++) rows[i * stride + k] = (float)positions[3 * i + k];
 }
 static void dn__rows_normal(const float *normals, size_t begin, size_t end, float *rows, size_t stride)
 {
@@ -3116,24 +3138,42 @@ static void dn__rows_relative(const float *rest, const uint32_t *joint, const fl
       for (k = 0; k < 3; k++) rows[i * stride + (size_t)k] = (float)x[k];
    }
 }
-/* where the joints are now: P_s [joint at rest; 1]; joint s of the model is map[s] in the palette, or s when map is NULL */
+/* where the joints are now: P_s [joint at rest; 1]; joint s of the model is map[s] in the palette, or s when map is NULL.
+   posed (3,pitch): all x, all y, all z, so that the fast texts load joints side by side */
+static size_t dn__posed_pitch(size_t joints) { return dn__round(joints, 16); }
 static void dn__posed_joints(const float *palette, const uint32_t *map, const float *joint_rest, size_t joints, float *posed)
 {
-   size_t s;
-   for (s = 0; s < joints; s++) dn__transform(palette + 12 * (size_t)(map ? map[s] : s), joint_rest + 3 * s, posed + 3 * s);
+   size_t s, k, pitch = dn__posed_pitch(joints);
+   for (s = 0; s < pitch; s++) {
+      float p[3] = { 0.0f, 0.0f, 0.0f };
+      if (s < joints) dn__transform(palette + 12 * (size_t)(map ? map[s] : s), joint_rest + 3 * s, p);
+      for (k = 0; k < 3; k++) posed[k * pitch + s] = p[k];
+   }
 }
 /* |p_i - posed_s| for every joint (C 4.4) */
-static void dn__rows_distance(const float *coarse, const float *posed, size_t joints, size_t begin, size_t end, float *rows,
-                              size_t stride)
+static void dn__rows_distance(const double *positions, const float *posed, size_t joints, size_t begin, size_t end,
+                              float *rows, size_t stride)
 {
-   size_t i, s;
+   size_t i, s, pitch = dn__posed_pitch(joints);
    for (i = begin; i < end; i++) {
-      float px = coarse[3 * i], py = coarse[3 * i + 1], pz = coarse[3 * i + 2], *row = rows + i * stride;
+      float px = (float)positions[3 * i], py = (float)positions[3 * i + 1], pz = (float)positions[3 * i + 2];
+      float *row = rows + i * stride;
       for (s = 0; s < joints; s++) {
-         float x = px - posed[3 * s], y = py - posed[3 * s + 1], z = pz - posed[3 * s + 2];
+         float x = px - posed[s], y = py - posed[pitch + s], z = pz - posed[2 * pitch + s];
          row[s] = DN_SQRTF(x * x + y * y + z * z);
       }
    }
+}
+/* x -> (x - mean) / std of whole rows, 1 / std as two floats: nothing is rounded that a division would not */
+static void dn__normalise_range(const float *mean, const float *scale, const float *rest, size_t width, float *rows,
+                                size_t begin, size_t end)
+{
+   size_t i, k;
+   for (i = begin; i < end; i++)
+      for (k = 0; k < width; k++) {
+         float x = rows[i * width + k] - mean[k];
+         rows[i * width + k] = x * scale[k] + x * rest[k];
+      }
 }
 
 /* ===================================================================================== >>geodesic
@@ -4202,6 +4242,7 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
       #include <immintrin.h>
       #define DN__HAS_AVX2
       #define DN__TARGET_AVX2
+      #define DN__TARGET_AVX2_UNFUSED
       #if defined(_M_X64) && _MSC_VER >= 1920
          #define DN__HAS_AVX512
          #define DN__TARGET_AVX512
@@ -4214,6 +4255,7 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
          #include <cpuid.h>
          #define DN__HAS_AVX2
          #define DN__TARGET_AVX2 __attribute__((target("avx2,fma")))
+         #define DN__TARGET_AVX2_UNFUSED __attribute__((target("avx2"))) /* gcc fuses intrinsics where it may */
          #if defined(__x86_64__) /* the 32 registers that its tile fills exist in 64-bit mode only */
             #define DN__HAS_AVX512
             #define DN__TARGET_AVX512 __attribute__((target("avx2,fma,avx512f,avx512vl,avx512dq,avx512bw")))
@@ -4668,6 +4710,11 @@ static DN__INLINE dn__f4 dn__f4_add(dn__f4 a, dn__f4 b) { return vaddq_f32(a, b)
 static DN__INLINE dn__f4 dn__f4_sub(dn__f4 a, dn__f4 b) { return vsubq_f32(a, b); }
 static DN__INLINE dn__f4 dn__f4_mul(dn__f4 a, dn__f4 b) { return vmulq_f32(a, b); }
 static DN__INLINE dn__f4 dn__f4_div(dn__f4 a, dn__f4 b) { return vdivq_f32(a, b); }
+static DN__INLINE dn__f4 dn__f4_sqrt(dn__f4 a) { return vsqrtq_f32(a); }
+static DN__INLINE dn__f4 dn__f4_yzx(dn__f4 a) /* a[1] a[2] a[0], anything */
+{
+   return vcombine_f32(vget_low_f32(vextq_f32(a, a, 1)), vget_low_f32(a));
+}
 static DN__INLINE dn__f4 dn__f4_fma(dn__f4 a, dn__f4 b, dn__f4 c) { return vfmaq_f32(c, a, b); } /* ab + c */
 static DN__INLINE dn__f4 dn__f4_max(dn__f4 a, dn__f4 b) { return vmaxq_f32(a, b); }
 static DN__INLINE dn__f4 dn__f4_min(dn__f4 a, dn__f4 b) { return vminq_f32(a, b); }
@@ -4694,6 +4741,8 @@ static DN__INLINE dn__f4 dn__f4_add(dn__f4 a, dn__f4 b) { return wasm_f32x4_add(
 static DN__INLINE dn__f4 dn__f4_sub(dn__f4 a, dn__f4 b) { return wasm_f32x4_sub(a, b); }
 static DN__INLINE dn__f4 dn__f4_mul(dn__f4 a, dn__f4 b) { return wasm_f32x4_mul(a, b); }
 static DN__INLINE dn__f4 dn__f4_div(dn__f4 a, dn__f4 b) { return wasm_f32x4_div(a, b); }
+static DN__INLINE dn__f4 dn__f4_sqrt(dn__f4 a) { return wasm_f32x4_sqrt(a); }
+static DN__INLINE dn__f4 dn__f4_yzx(dn__f4 a) { return wasm_i32x4_shuffle(a, a, 1, 2, 0, 3); } /* a[1] a[2] a[0], anything */
 static DN__INLINE dn__f4 dn__f4_fma(dn__f4 a, dn__f4 b, dn__f4 c) { return wasm_f32x4_add(wasm_f32x4_mul(a, b), c); }
 static DN__INLINE dn__f4 dn__f4_max(dn__f4 a, dn__f4 b) { return wasm_f32x4_max(a, b); }
 static DN__INLINE dn__f4 dn__f4_min(dn__f4 a, dn__f4 b) { return wasm_f32x4_min(a, b); }
@@ -4720,6 +4769,8 @@ static DN__INLINE dn__f4 dn__f4_add(dn__f4 a, dn__f4 b) { return _mm_add_ps(a, b
 static DN__INLINE dn__f4 dn__f4_sub(dn__f4 a, dn__f4 b) { return _mm_sub_ps(a, b); }
 static DN__INLINE dn__f4 dn__f4_mul(dn__f4 a, dn__f4 b) { return _mm_mul_ps(a, b); }
 static DN__INLINE dn__f4 dn__f4_div(dn__f4 a, dn__f4 b) { return _mm_div_ps(a, b); }
+static DN__INLINE dn__f4 dn__f4_sqrt(dn__f4 a) { return _mm_sqrt_ps(a); }
+static DN__INLINE dn__f4 dn__f4_yzx(dn__f4 a) { return _mm_shuffle_ps(a, a, 0xc9); } /* a[1] a[2] a[0], anything */
 static DN__INLINE dn__f4 dn__f4_fma(dn__f4 a, dn__f4 b, dn__f4 c) { return _mm_add_ps(_mm_mul_ps(a, b), c); }
 static DN__INLINE dn__f4 dn__f4_max(dn__f4 a, dn__f4 b) { return _mm_max_ps(a, b); }
 static DN__INLINE dn__f4 dn__f4_min(dn__f4 a, dn__f4 b) { return _mm_min_ps(a, b); }
@@ -5348,6 +5399,300 @@ DN_API void dn_lbs(const float *rest, const uint32_t *joint, const float *weight
 {
    dn_kernel kernel = count < DN__LBS_MANY ? DN_KERNEL_REF : dn__kernel_best();
    dn__lbs_run(kernel, rest, joint, weight, influences, palette, NULL, 0, count, out);
+}
+
+/* ===================================================================================== >>features
+   in       nodes, triangles, posed joints     out   normals (N,3) and the columns of rows that are wider or dearer than a copy
+   touches  the output range it is given, nothing else
+   paper    T 2.1, T 3.9, C 4.4. The specification is in >>mesh (normals) and >>skin (the writers of rows); the texts here sum
+            in the same order and precision. Every node stands for itself: it has the same bits wherever a range begins
+   padding  positions are loaded four numbers at a time: one more must lie behind the last
+   read     dn__normals_fine_range, then dn__normals_fine_avx2 */
+
+#ifdef DN__HAS_AVX2
+/* u x v = (u yzx(v) - yzx(u) v), its coordinates in the order z x y: turned once, when all are summed. Not fused: the two
+   sides of a doubled sheet must cancel to nothing */
+DN__TARGET_AVX2_UNFUSED static void dn__normals_fine_avx2(const double *positions, const uint32_t *triangle,
+                                                          const uint32_t *corner_first, const uint32_t *corner_tri,
+                                                          size_t begin, size_t end, float *normals)
+{
+   size_t i, e;
+   for (i = begin; i < end; i++) {
+      __m256d sum = _mm256_setzero_pd();
+      double n[4];
+      for (e = corner_first[i]; e < corner_first[i + 1]; e++) {
+         const uint32_t *t = triangle + 3 * (size_t)corner_tri[e];
+         __m256d p = _mm256_loadu_pd(positions + 3 * (size_t)t[0]);
+         __m256d u = _mm256_sub_pd(_mm256_loadu_pd(positions + 3 * (size_t)t[1]), p);
+         __m256d v = _mm256_sub_pd(_mm256_loadu_pd(positions + 3 * (size_t)t[2]), p);
+         p = _mm256_mul_pd(_mm256_permute4x64_pd(u, 0xc9), v);
+         sum = _mm256_add_pd(sum, _mm256_sub_pd(_mm256_mul_pd(u, _mm256_permute4x64_pd(v, 0xc9)), p));
+      }
+      _mm256_storeu_pd(n, _mm256_permute4x64_pd(sum, 0xc9));
+      dn__fine_normal(n, normals + 3 * i);
+   }
+}
+/* the blended matrix times [rest; 1], or its 3x3 part times rest; the fourth number is anything */
+DN__TARGET_AVX2 static DN__INLINE __m256d dn__fine_point_avx2(const uint32_t *joint, const float *weight, size_t influences,
+                                                              const float *palette, const float *rest, int point)
+{
+   const __m256d p = _mm256_setr_pd((double)rest[0], (double)rest[1], (double)rest[2], 1.0);
+   __m256d a = _mm256_setzero_pd(), b = a, c = a, w;
+   size_t k;
+   for (k = 0; k < influences; k++) {
+      const float *m = palette + 12 * (size_t)joint[k];
+      w = _mm256_set1_pd((double)weight[k]);
+      a = _mm256_fmadd_pd(w, _mm256_cvtps_pd(_mm_loadu_ps(m)), a);
+      b = _mm256_fmadd_pd(w, _mm256_cvtps_pd(_mm_loadu_ps(m + 4)), b);
+      c = _mm256_fmadd_pd(w, _mm256_cvtps_pd(_mm_loadu_ps(m + 8)), c);
+   }
+   if (!point) { /* not 0 times the translation, which may be infinite */
+      w = _mm256_setzero_pd();
+      a = _mm256_blend_pd(a, w, 8), b = _mm256_blend_pd(b, w, 8), c = _mm256_blend_pd(c, w, 8);
+   }
+   a = _mm256_hadd_pd(_mm256_mul_pd(a, p), _mm256_mul_pd(b, p)); /* a01 b01 a23 b23 */
+   c = _mm256_mul_pd(c, p);
+   c = _mm256_hadd_pd(c, c);
+   b = _mm256_permute2f128_pd(a, c, 0x20);
+   c = _mm256_permute2f128_pd(a, c, 0x31);
+   return _mm256_add_pd(b, c);
+}
+DN__TARGET_AVX2 static void dn__framed_lbs_avx2(const float *rest, const uint32_t *joint, const float *weight, size_t influences,
+                                                const uint32_t *vertex, const float *palette, const float root[9], size_t begin,
+                                                size_t end, double *out)
+{
+   const __m256d x = _mm256_setr_pd((double)root[0], (double)root[1], (double)root[2], 0.0);
+   const __m256d y = _mm256_setr_pd((double)root[3], (double)root[4], (double)root[5], 0.0);
+   const __m256d z = _mm256_setr_pd((double)root[6], (double)root[7], (double)root[8], 0.0);
+   size_t i;
+   for (i = begin; i < end; i++) {
+      size_t at = influences * (size_t)vertex[i];
+      __m256d p = influences == 4 ? dn__fine_point_avx2(joint + at, weight + at, 4, palette, rest + 3 * i, 1)
+         : dn__fine_point_avx2(joint + at, weight + at, influences, palette, rest + 3 * i, 1);
+      __m256d q = _mm256_mul_pd(_mm256_permute4x64_pd(p, 0x00), x); /* R^T p */
+      q = _mm256_fmadd_pd(_mm256_permute4x64_pd(p, 0x55), y, q);
+      q = _mm256_fmadd_pd(_mm256_permute4x64_pd(p, 0xaa), z, q);
+      _mm_storeu_pd(out + 3 * i, _mm256_castpd256_pd128(q)); /* not a fourth: it may be another worker's */
+      _mm_store_sd(out + 3 * i + 2, _mm256_extractf128_pd(q, 1));
+   }
+}
+DN__TARGET_AVX2 static void dn__rows_relative_avx2(const float *rest, const uint32_t *joint, const float *weight,
+                                                   size_t influences, const uint32_t *vertex, const float *palette, size_t begin,
+                                                   size_t end, float *rows, size_t stride)
+{
+   size_t i;
+   for (i = begin; i < end; i++) {
+      size_t at = influences * (vertex ? (size_t)vertex[i] : i);
+      float x[4];
+      _mm_storeu_ps(x, _mm256_cvtpd_ps(influences == 4 ? dn__fine_point_avx2(joint + at, weight + at, 4, palette, rest + 3 * i, 0)
+                                       : dn__fine_point_avx2(joint + at, weight + at, influences, palette, rest + 3 * i, 0)));
+      memcpy(rows + i * stride, x, 3 * sizeof *x);
+   }
+}
+DN__TARGET_AVX2 static void dn__rows_distance_avx2(const double *positions, const float *posed, size_t joints, size_t begin,
+                                                   size_t end, float *rows, size_t stride)
+{
+   size_t i, s, pitch = dn__posed_pitch(joints);
+   for (i = begin; i < end; i++) {
+      __m256 px = _mm256_set1_ps((float)positions[3 * i]), py = _mm256_set1_ps((float)positions[3 * i + 1]);
+      __m256 pz = _mm256_set1_ps((float)positions[3 * i + 2]);
+      for (s = 0; s < joints; s += 8) {
+         __m256 x = _mm256_sub_ps(px, _mm256_loadu_ps(posed + s)), y = _mm256_sub_ps(py, _mm256_loadu_ps(posed + pitch + s));
+         __m256 z = _mm256_sub_ps(pz, _mm256_loadu_ps(posed + 2 * pitch + s));
+         float last[8];
+         x = _mm256_sqrt_ps(_mm256_fmadd_ps(z, z, _mm256_fmadd_ps(y, y, _mm256_mul_ps(x, x))));
+         if (s + 8 <= joints) _mm256_storeu_ps(rows + i * stride + s, x);
+         else _mm256_storeu_ps(last, x), memcpy(rows + i * stride + s, last, (joints - s) * sizeof *last);
+      }
+   }
+}
+DN__TARGET_AVX2 static void dn__normalise_avx2(const float *mean, const float *scale, const float *rest, size_t width,
+                                               float *rows, size_t begin, size_t end)
+{
+   size_t i, k;
+   for (i = begin; i < end; i++) {
+      float *row = rows + i * width;
+      for (k = 0; k + 8 <= width; k += 8) {
+         __m256 x = _mm256_sub_ps(_mm256_loadu_ps(row + k), _mm256_loadu_ps(mean + k));
+         _mm256_storeu_ps(row + k, _mm256_fmadd_ps(x, _mm256_loadu_ps(scale + k), _mm256_mul_ps(x, _mm256_loadu_ps(rest + k))));
+      }
+      dn__normalise_range(mean + k, scale + k, rest + k, width - k, row + k, 0, 1);
+   }
+}
+#endif
+
+#ifdef DN__HAS_AVX512
+DN__TARGET_AVX512 static void dn__rows_distance_avx512(const double *positions, const float *posed, size_t joints, size_t begin,
+                                                       size_t end, float *rows, size_t stride)
+{
+   size_t i, s, pitch = dn__posed_pitch(joints);
+   for (i = begin; i < end; i++) {
+      __m512 px = _mm512_set1_ps((float)positions[3 * i]), py = _mm512_set1_ps((float)positions[3 * i + 1]);
+      __m512 pz = _mm512_set1_ps((float)positions[3 * i + 2]);
+      for (s = 0; s < joints; s += 16) {
+         __m512 x = _mm512_sub_ps(px, _mm512_loadu_ps(posed + s)), y = _mm512_sub_ps(py, _mm512_loadu_ps(posed + pitch + s));
+         __m512 z = _mm512_sub_ps(pz, _mm512_loadu_ps(posed + 2 * pitch + s));
+         x = _mm512_maskz_sqrt_ps(DN__ALL, _mm512_fmadd_ps(z, z, _mm512_fmadd_ps(y, y, _mm512_mul_ps(x, x))));
+         _mm512_mask_storeu_ps(rows + i * stride + s, dn__lanes_avx512(joints - s), x);
+      }
+   }
+}
+DN__TARGET_AVX512 static void dn__normalise_avx512(const float *mean, const float *scale, const float *rest, size_t width,
+                                                   float *rows, size_t begin, size_t end)
+{
+   size_t i, k;
+   for (i = begin; i < end; i++)
+      for (k = 0; k < width; k += 16) {
+         __mmask16 used = dn__lanes_avx512(width - k);
+         float *row = rows + i * width + k;
+         __m512 x = _mm512_sub_ps(_mm512_maskz_loadu_ps(used, row), _mm512_maskz_loadu_ps(used, mean + k));
+         __m512 y = _mm512_mul_ps(x, _mm512_maskz_loadu_ps(used, rest + k));
+         _mm512_mask_storeu_ps(row, used, _mm512_fmadd_ps(x, _mm512_maskz_loadu_ps(used, scale + k), y));
+      }
+}
+#endif
+
+#ifdef DN__HAS_F4
+/* the bits of dn__normals_range */
+static void dn__normals_f4(const float *positions, const uint32_t *triangle, const uint32_t *corner_first,
+                           const uint32_t *corner_tri, size_t begin, size_t end, float *normals)
+{
+   size_t i, e;
+   for (i = begin; i < end; i++) {
+      dn__f4 sum = dn__f4_all(0.0f);
+      float n[4];
+      for (e = corner_first[i]; e < corner_first[i + 1]; e++) {
+         const uint32_t *t = triangle + 3 * (size_t)corner_tri[e];
+         dn__f4 p = dn__f4_load(positions + 3 * (size_t)t[0]);
+         dn__f4 u = dn__f4_sub(dn__f4_load(positions + 3 * (size_t)t[1]), p);
+         dn__f4 v = dn__f4_sub(dn__f4_load(positions + 3 * (size_t)t[2]), p);
+         p = dn__f4_mul(dn__f4_yzx(u), v);
+         sum = dn__f4_add(sum, dn__f4_sub(dn__f4_mul(u, dn__f4_yzx(v)), p)); /* z x y, as above */
+      }
+      dn__f4_store(n, dn__f4_yzx(sum));
+      dn__unit_normal(n);
+      memcpy(normals + 3 * i, n, 3 * sizeof *n);
+   }
+}
+static void dn__rows_distance_f4(const double *positions, const float *posed, size_t joints, size_t begin, size_t end,
+                                 float *rows, size_t stride)
+{
+   size_t i, s, pitch = dn__posed_pitch(joints);
+   for (i = begin; i < end; i++) {
+      dn__f4 px = dn__f4_all((float)positions[3 * i]), py = dn__f4_all((float)positions[3 * i + 1]);
+      dn__f4 pz = dn__f4_all((float)positions[3 * i + 2]);
+      for (s = 0; s < joints; s += 4) {
+         dn__f4 x = dn__f4_sub(px, dn__f4_load(posed + s)), y = dn__f4_sub(py, dn__f4_load(posed + pitch + s));
+         dn__f4 z = dn__f4_sub(pz, dn__f4_load(posed + 2 * pitch + s));
+         float last[4];
+         x = dn__f4_sqrt(dn__f4_fma(z, z, dn__f4_fma(y, y, dn__f4_mul(x, x))));
+         if (s + 4 <= joints) dn__f4_store(rows + i * stride + s, x);
+         else dn__f4_store(last, x), memcpy(rows + i * stride + s, last, (joints - s) * sizeof *last);
+      }
+   }
+}
+static void dn__normalise_f4(const float *mean, const float *scale, const float *rest, size_t width, float *rows, size_t begin,
+                             size_t end)
+{
+   size_t i, k;
+   for (i = begin; i < end; i++) {
+      float *row = rows + i * width;
+      for (k = 0; k + 4 <= width; k += 4) {
+         dn__f4 x = dn__f4_sub(dn__f4_load(row + k), dn__f4_load(mean + k));
+         dn__f4_store(row + k, dn__f4_fma(x, dn__f4_load(scale + k), dn__f4_mul(x, dn__f4_load(rest + k))));
+      }
+      dn__normalise_range(mean + k, scale + k, rest + k, width - k, row + k, 0, 1);
+   }
+}
+#endif
+
+/* --- the choice, as in dn__lbs_run. Where a kernel has no text of its own the plain one runs. */
+static void dn__normals_run(dn_kernel kernel, const float *positions, const uint32_t *triangle, const uint32_t *corner_first,
+                            const uint32_t *corner_tri, size_t begin, size_t end, float *normals)
+{
+#ifdef DN__HAS_F4 /* four lanes are all that a point fills: every faster kernel has them too */
+   if (kernel != DN_KERNEL_REF) {
+      dn__normals_f4(positions, triangle, corner_first, corner_tri, begin, end, normals);
+      return;
+   }
+#endif
+   (void)kernel;
+   dn__normals_range(positions, triangle, corner_first, corner_tri, begin, end, normals);
+}
+#ifdef DN__HAS_AVX2
+static int dn__kernel_avx(dn_kernel kernel) { return kernel == DN_KERNEL_AVX2 || kernel == DN_KERNEL_AVX512; }
+#endif
+static void dn__normals_fine_run(dn_kernel kernel, const double *positions, const uint32_t *triangle,
+                                 const uint32_t *corner_first, const uint32_t *corner_tri, size_t begin, size_t end,
+                                 float *normals)
+{
+#ifdef DN__HAS_AVX2
+   if (dn__kernel_avx(kernel)) {
+      dn__normals_fine_avx2(positions, triangle, corner_first, corner_tri, begin, end, normals);
+      return;
+   }
+#endif
+   (void)kernel;
+   dn__normals_fine_range(positions, triangle, corner_first, corner_tri, begin, end, normals);
+}
+static void dn__framed_lbs_run(dn_kernel kernel, const float *rest, const uint32_t *joint, const float *weight,
+                               size_t influences, const uint32_t *vertex, const float *palette, const float root[9],
+                               size_t begin, size_t end, double *out)
+{
+#ifdef DN__HAS_AVX2
+   if (dn__kernel_avx(kernel)) {
+      dn__framed_lbs_avx2(rest, joint, weight, influences, vertex, palette, root, begin, end, out);
+      return;
+   }
+#endif
+   (void)kernel;
+   dn__framed_lbs(rest, joint, weight, influences, vertex, palette, root, begin, end, out);
+}
+static void dn__rows_relative_run(dn_kernel kernel, const float *rest, const uint32_t *joint, const float *weight,
+                                  size_t influences, const uint32_t *vertex, const float *palette, size_t begin, size_t end,
+                                  float *rows, size_t stride)
+{
+#ifdef DN__HAS_AVX2
+   if (dn__kernel_avx(kernel)) {
+      dn__rows_relative_avx2(rest, joint, weight, influences, vertex, palette, begin, end, rows, stride);
+      return;
+   }
+#endif
+   (void)kernel;
+   dn__rows_relative(rest, joint, weight, influences, vertex, palette, begin, end, rows, stride);
+}
+static void dn__rows_distance_run(dn_kernel kernel, const double *positions, const float *posed, size_t joints, size_t begin,
+                                  size_t end, float *rows, size_t stride)
+{
+   switch (kernel) {
+#ifdef DN__HAS_AVX512
+   case DN_KERNEL_AVX512: dn__rows_distance_avx512(positions, posed, joints, begin, end, rows, stride); break;
+#endif
+#ifdef DN__HAS_AVX2
+   case DN_KERNEL_AVX2: dn__rows_distance_avx2(positions, posed, joints, begin, end, rows, stride); break;
+#endif
+#ifdef DN__HAS_F4
+   case DN__F4_KERNEL: dn__rows_distance_f4(positions, posed, joints, begin, end, rows, stride); break;
+#endif
+   default: dn__rows_distance(positions, posed, joints, begin, end, rows, stride); break;
+   }
+}
+/* rows (.., width), packed */
+static void dn__normalise_run(dn_kernel kernel, const float *mean, const float *scale, const float *rest, size_t width,
+                              float *rows, size_t begin, size_t end)
+{
+   switch (kernel) {
+#ifdef DN__HAS_AVX512
+   case DN_KERNEL_AVX512: dn__normalise_avx512(mean, scale, rest, width, rows, begin, end); break;
+#endif
+#ifdef DN__HAS_AVX2
+   case DN_KERNEL_AVX2: dn__normalise_avx2(mean, scale, rest, width, rows, begin, end); break;
+#endif
+#ifdef DN__HAS_F4
+   case DN__F4_KERNEL: dn__normalise_f4(mean, scale, rest, width, rows, begin, end); break;
+#endif
+   default: dn__normalise_range(mean, scale, rest, width, rows, begin, end); break;
+   }
 }
 
 /* ===================================================================================== >>attention
@@ -6261,7 +6606,8 @@ typedef struct dn__stage { /* what goes into a network and comes out; clothnet i
    size_t feature_count, row_width;
    size_t bound_width;                     /* columns of the row that no pose changes, kept out of the frame: dn_model.bound */
    size_t fit;                             /* n of fit:n */
-   const float *input_mean, *input_std;    /* (D), in the order of dn__place; NULL when absent */
+   const float *input_mean;                /* (D), in the order of dn__place; NULL when absent */
+   const float *input_scale, *input_rest;  /* (D) 1 / std as two floats */
    float output_mean[3], output_std[3];
 } dn__stage;
 typedef struct dn__branch { /* blocks around a pool, and the layers after them */
@@ -6896,24 +7242,26 @@ static void dn__load_scales(dn__loader *l, dn__stage *stage, const char *prefix)
    dn__join(mean_name, sizeof mean_name, prefix, "input.mean");
    dn__join(std_name, sizeof std_name, prefix, "input.std");
    if (dn_tensors_find(l->file, mean_name) || dn_tensors_find(l->file, std_name)) {
-      float *kept_mean, *kept_std;
+      float *kept_mean, *kept_scale, *kept_rest;
       mean = dn__maybe(l, mean_name, stage->row_width);
       std = dn__maybe(l, std_name, stage->row_width);
       kept_mean = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
-      kept_std = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
+      kept_scale = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
+      kept_rest = (float *)dn__take(&l->memory, stage->row_width, sizeof(float));
       if (l->packing && !l->failed) {
          for (i = 0; i < stage->row_width; i++) {
             size_t place = dn__place(stage, i);
             kept_mean[place] = mean ? mean[i] : 0.0f;
-            kept_std[place] = std ? std[i] : 1.0f;
-            if (!dn__finite(1.0f / kept_std[place])) {
+            dn__two_floats(std ? 1.0 / (double)std[i] : 1.0, &kept_scale[place], &kept_rest[place]);
+            if (std && !dn__finite(1.0f / std[i])) {
                char text[80];
                dn__number(text, sizeof text, ": element ", i, " is zero or too small to divide by");
                dn__load_fail(l, DN_BAD_VALUE, std_name, text);
             }
          }
          stage->input_mean = kept_mean;
-         stage->input_std = kept_std;
+         stage->input_scale = kept_scale;
+         stage->input_rest = kept_rest;
       }
    }
    dn__join(mean_name, sizeof mean_name, prefix, "output.mean");
@@ -8212,7 +8560,7 @@ static void dn__start_range(void *job, size_t begin, size_t end, unsigned worker
             for (k = 0; k < DN_PANEL; k++) sum[i][k] = (double)n[k] + (double)n[DN_PANEL + k];
          for (c = 0; c < l->in; c++, w += DN_PANEL) {
             double mean = stage->input_mean ? (double)stage->input_mean[live + c] : 0.0;
-            double scale = stage->input_std ? 1.0 / (double)stage->input_std[live + c] : 1.0;
+            double scale = stage->input_mean ? (double)stage->input_scale[live + c] + (double)stage->input_rest[live + c] : 1.0;
             for (i = 0; i < rows; i++) {
                double x = ((double)geodesic[i * joints + c % joints] - mean) * scale; /* listed twice: both read the same */
                for (k = 0; k < DN_PANEL; k++) sum[i][k] += x * (double)w[k];
@@ -8384,13 +8732,13 @@ typedef struct dn__frame {    /* the scratch, carved the same way by every stage
    float *wide;               /* (S,16) the same, each joint on a cache line; LBS only */
    float *seen;               /* (S,12) what the network sees: root frame, extra joints folded */
    float *dual;               /* (S,8) dual quaternions of palette, DQS only */
-   float *posed;              /* (S_model,3) joints, in the network's frame */
+   float *posed;              /* (3, S_model rounded up) joints, in the network's frame: dn__posed_joints */
    float *root;               /* (9) rotation of the network's frame, identity for "model" */
    float *skinned;            /* (V,3) model space */
    float *coarse;             /* (N,3) model space */
-   float *framed;             /* (N,3) coarse in the network's frame */
-   float *low;                /* (N,3) what float leaves of framed; only the normals need it */
-   float *normals;            /* (N,3) of framed; later of the refined mesh */
+   double *framed;            /* (N,3) coarse in the network's frame, not rounded: the normals need it */
+   float *refined;            /* (N,3) in the same memory, once the network has run */
+   float *normals;            /* (N,3) of framed; later of refined */
    float *rows;               /* (N, live columns), normalised */
    float *displacement;       /* (N,3) network's frame, then model space */
    uint32_t *state;           /* (3) fallback nodes, finite palette, skinned by LBS here */
@@ -8406,12 +8754,12 @@ static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, s
    f->wide = dual ? NULL : (float *)dn__take(a, dn__mul(joints, 16), sizeof(float));
    f->seen = (float *)dn__take(a, dn__mul(joints, 12), sizeof(float));
    f->dual = dual ? (float *)dn__take(a, dn__mul(joints, 8), sizeof(float)) : NULL;
-   f->posed = (float *)dn__take(a, dn__mul(m ? m->info.joints : 0, 3), sizeof(float));
+   f->posed = (float *)dn__take(a, dn__mul(dn__posed_pitch(m ? m->info.joints : 0), 3), sizeof(float));
    f->root = (float *)dn__take(a, 9, sizeof(float));
    f->skinned = (float *)dn__take(a, dn__mul(vertices, 3), sizeof(float));
    f->coarse = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
-   f->framed = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
-   f->low = (float *)dn__take(a, dn__mul(m ? nodes : 0, 3), sizeof(float));
+   f->framed = (double *)dn__take(a, dn__add(dn__mul(nodes, 3), 1), m ? sizeof(double) : sizeof(float)); /* and one to load past the end */
+   f->refined = (float *)f->framed;
    f->normals = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
    f->displacement = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
    f->state = (uint32_t *)dn__take(a, 3, sizeof(uint32_t));
@@ -8510,22 +8858,17 @@ static void dn__framed_range(void *job, size_t begin, size_t end, unsigned worke
    const dn_rig_view *view = &j->r->view;
    size_t i, k;
    (void)worker;
-   for (i = begin; i < end; i++) {
-      size_t v = view->first_vertex[i];
-      double p[3];
-      memcpy(f->coarse + 3 * i, f->skinned + 3 * v, 12);
-      for (k = 0; k < 3; k++) p[k] = (double)f->coarse[3 * i + k];
-      if (!j->r->model) continue;
-      if (f->state[2]) /* the same sum again, not yet rounded */
-         dn__lbs_point(view->skin_joint + view->influences * v, view->skin_weight + view->influences * v,
-                       view->influences, f->palette, view->rest + 3 * i, p);
-      for (k = 0; k < 3; k++) {
-         const float *r = f->root + k;
-         double x = (double)r[0] * p[0] + (double)r[3] * p[1] + (double)r[6] * p[2]; /* R^T p */
-         f->framed[3 * i + k] = (float)x;
-         f->low[3 * i + k] = (float)(x - (double)f->framed[3 * i + k]);
+   for (i = begin; i < end; i++) memcpy(f->coarse + 3 * i, f->skinned + 3 * (size_t)view->first_vertex[i], 12);
+   if (!j->r->model) return;
+   if (f->state[2]) /* the same sums again, not yet rounded */
+      dn__framed_lbs_run(j->r->kernel, view->rest, view->skin_joint, view->skin_weight, view->influences, view->first_vertex,
+                         f->palette, f->root, begin, end, f->framed);
+   else
+      for (i = begin; i < end; i++) {
+         double p[3];
+         for (k = 0; k < 3; k++) p[k] = (double)f->coarse[3 * i + k];
+         dn__unrotate(f->root, p, f->framed + 3 * i);
       }
-   }
 }
 /* columns of rows begin..end, `stride` apart: all of them, or the live ones */
 static void dn__rows_write(const dn_rig *r, const dn__frame *f, int all, size_t begin, size_t end, float *rows, size_t stride)
@@ -8537,8 +8880,8 @@ static void dn__rows_write(const dn_rig *r, const dn__frame *f, int all, size_t 
       switch (m->features[k]) {
       case DN_POSITION: dn__rows_position(f->framed, begin, end, rows, stride); rows += 3; break;
       case DN_RELATIVE:
-         dn__rows_relative(v->rest, v->skin_joint, v->skin_weight, v->influences, v->first_vertex, f->seen, begin,
-                           end, rows, stride);
+         dn__rows_relative_run(r->kernel, v->rest, v->skin_joint, v->skin_weight, v->influences, v->first_vertex, f->seen,
+                               begin, end, rows, stride);
          rows += 3;
          break;
       case DN_NORMAL: dn__rows_normal(f->normals, begin, end, rows, stride); rows += 3; break;
@@ -8547,29 +8890,31 @@ static void dn__rows_write(const dn_rig *r, const dn__frame *f, int all, size_t 
          dn__rows_geodesic(v->geodesic, joints, begin, end, rows, stride);
          rows += joints;
          break;
-      case DN_DISTANCE: dn__rows_distance(f->framed, f->posed, joints, begin, end, rows, stride); rows += joints; break;
+      case DN_DISTANCE:
+         dn__rows_distance_run(r->kernel, f->framed, f->posed, joints, begin, end, rows, stride);
+         rows += joints;
+         break;
       case DN_FIT: /* garments only */
       default: break;
       }
    }
 }
-/* rows hold the live columns, whose means and deviations come first */
-static void dn__normalise_rows(const dn__stage *m, float *rows, size_t begin, size_t end)
-{
-   size_t i, k, width = dn__live_width(m);
-   for (i = begin; m->input_mean && i < end; i++)
-      for (k = 0; k < width; k++) rows[i * width + k] = (rows[i * width + k] - m->input_mean[k]) / m->input_std[k];
-}
 static void dn__rows_range(void *job, size_t begin, size_t end, unsigned worker)
 {
+   enum { FEW = 32 }; /* nodes whose rows stay in the first-level cache until they are normalised */
    const dn__rows_job *j = (const dn__rows_job *)job;
    const dn__frame *f = j->f;
    const dn__stage *m = &j->r->model->stage[0];
+   size_t width = dn__live_width(m), few;
    (void)worker;
-   dn__normals_fine_range(f->framed, f->low, j->r->view.triangle, j->r->corner_first, j->r->corner_tri, begin, end,
-                          f->normals);
-   dn__rows_write(j->r, f, 0, begin, end, f->rows, dn__live_width(m));
-   dn__normalise_rows(m, f->rows, begin, end);
+   for (; begin < end; begin = few) {
+      few = dn__min(end, begin + FEW);
+      dn__normals_fine_run(j->r->kernel, f->framed, j->r->view.triangle, j->r->corner_first, j->r->corner_tri, begin, few,
+                           f->normals);
+      dn__rows_write(j->r, f, 0, begin, few, f->rows, width);
+      if (m->input_mean)
+         dn__normalise_run(j->r->kernel, m->input_mean, m->input_scale, m->input_rest, width, f->rows, begin, few);
+   }
 }
 DN_API void dn_stage_rows(const dn_rig *rig, void *scratch, const dn_parallel *parallel)
 {
@@ -8590,22 +8935,8 @@ DN_API void dn_stage_rows(const dn_rig *rig, void *scratch, const dn_parallel *p
 }
 
 /* --- stage 3: the network, and its output made displacements in model space */
-typedef struct dn__scale_job { const dn__stage *stage; const float *root; float *rows; } dn__scale_job;
-static void dn__normalise_range(void *job, size_t begin, size_t end, unsigned worker)
-{
-   const dn__scale_job *j = (const dn__scale_job *)job;
-   (void)worker;
-   dn__normalise_rows(j->stage, j->rows, begin, end);
-}
-static void dn__normalise(const dn__stage *stage, float *rows, size_t nodes, const dn_parallel *parallel)
-{
-   dn__scale_job job;
-   job.stage = stage;
-   job.root = NULL;
-   job.rows = rows;
-   if (stage->input_mean) dn__for(parallel, nodes, 512, dn__normalise_range, &job);
-}
 /* the network's output, in its units and frame, to displacements in model space */
+typedef struct dn__scale_job { const dn__stage *stage; const float *root; float *rows; } dn__scale_job;
 static void dn__displace_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__scale_job *j = (const dn__scale_job *)job;
@@ -8701,14 +9032,14 @@ static void dn__refined_range(void *job, size_t begin, size_t end, unsigned work
    size_t i;
    (void)worker;
    for (i = begin; i < end; i++) /* a node's vertices may carry different masks: the first one speaks for it */
-      memcpy(j->f->framed + 3 * i, j->f->skinned + 3 * (size_t)j->r->view.first_vertex[i], 12);
+      memcpy(j->f->refined + 3 * i, j->f->skinned + 3 * (size_t)j->r->view.first_vertex[i], 12);
 }
 static void dn__node_normals_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__output_job *j = (const dn__output_job *)job;
    (void)worker;
-   dn__normals_range(j->f->framed, j->r->view.triangle, j->r->corner_first, j->r->corner_tri, begin, end,
-                     j->f->normals);
+   dn__normals_run(j->r->kernel, j->f->refined, j->r->view.triangle, j->r->corner_first, j->r->corner_tri, begin, end,
+                   j->f->normals);
 }
 static void dn__normals_out_range(void *job, size_t begin, size_t end, unsigned worker)
 {
@@ -11003,14 +11334,15 @@ struct dn_garment {
 typedef struct dn__wear {
    float *palette;             /* (S,12) model space */
    float *seen;                /* (S,12) what the stage's network sees: its frame, extra joints folded */
-   float *posed;               /* (S_model,3) joints in that frame */
+   float *posed;               /* (3, S_model rounded up) joints in that frame */
    float *root;                /* (9) rotation of that frame */
    float *base, *base_low;     /* (N,3) the associated body node, posed, model space; what float leaves of it */
    float *followed, *coarse, *coarse_displacement, *displacement, *refined; /* (N,3) model space, see dn_garment_nodes */
-   float *framed, *low;        /* (N,3) positions in the network's frame, as in dn__frame */
+   double *framed;             /* (N,3) positions in the network's frame, as in dn__frame */
    float *delta;               /* (N,3) coarse displacement in that frame */
    float *normals;             /* (N,3) */
-   float *body, *body_low, *body_normals; /* (body nodes,3) in the coarse network's frame, where it reads normals */
+   double *body;               /* (body nodes,3) in the coarse network's frame, where it reads normals */
+   float *body_normals;
    float *rows;                /* (N,D) */
    unsigned char *fell;        /* (N) a network was not finite here */
    uint32_t *state;            /* (1) the palette is finite */
@@ -11041,7 +11373,7 @@ static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const d
       }
    f->palette = (float *)dn__take(a, dn__mul(s->joints, 12), sizeof(float));
    f->seen = (float *)dn__take(a, dn__mul(s->joints, 12), sizeof(float));
-   f->posed = (float *)dn__take(a, dn__mul(joints, 3), sizeof(float));
+   f->posed = (float *)dn__take(a, dn__mul(dn__posed_pitch(joints), 3), sizeof(float));
    f->root = (float *)dn__take(a, 9, sizeof(float));
    f->base = (float *)dn__take(a, N3, sizeof(float));
    f->base_low = (float *)dn__take(a, N3, sizeof(float));
@@ -11049,9 +11381,8 @@ static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const d
    f->coarse = (float *)dn__take(a, N3, sizeof(float));
    f->coarse_displacement = (float *)dn__take(a, N3, sizeof(float));
    f->displacement = (float *)dn__take(a, N3, sizeof(float));
-   f->refined = (float *)dn__take(a, N3, sizeof(float));
-   f->framed = (float *)dn__take(a, N3, sizeof(float));
-   f->low = (float *)dn__take(a, N3, sizeof(float));
+   f->refined = (float *)dn__take(a, dn__add(N3, 1), sizeof(float));
+   f->framed = (double *)dn__take(a, dn__add(N3, 1), sizeof(double)); /* here and below one to load past the end */
    f->delta = (float *)dn__take(a, N3, sizeof(float));
    f->normals = (float *)dn__take(a, N3, sizeof(float));
    f->fell = (unsigned char *)dn__take(a, s->nodes, 1);
@@ -11059,8 +11390,7 @@ static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const d
    f->rows = (float *)dn__take(a, dn__mul(s->nodes, width), sizeof(float));
    B3 = dn__mul(dn__reads_body_normals(model[0]) ? s->body_nodes : 0, 3);
    from = most = a->used;
-   f->body = (float *)dn__take(a, B3, sizeof(float));
-   f->body_low = (float *)dn__take(a, B3, sizeof(float));
+   f->body = (double *)dn__take(a, dn__add(B3, 1), sizeof(double));
    f->body_normals = (float *)dn__take(a, B3, sizeof(float));
    most = a->used;
    for (k = 0; k < 2; k++) { /* the posed body is not needed once the rows are written, a stage not once the next begins */
@@ -11204,11 +11534,6 @@ DN_API dn_result dn_garment_stage_follow(const dn_garment *g, const dn_garment_p
 }
 
 /* --- what both networks read */
-static void dn__unrotate(const float r[9], const double p[3], double out[3]) /* R^T p; out may not be p */
-{
-   int k;
-   for (k = 0; k < 3; k++) out[k] = (double)r[k] * p[0] + (double)r[3 + k] * p[1] + (double)r[6 + k] * p[2];
-}
 /* The posed body in the network's frame: the coarse stage takes its normals */
 static void dn__body_range(void *job, size_t begin, size_t end, unsigned worker)
 {
@@ -11217,18 +11542,17 @@ static void dn__body_range(void *job, size_t begin, size_t end, unsigned worker)
    size_t i, I = g->view.influences;
    (void)worker;
    for (i = begin; i < end; i++) {
-      double p[3], x[3];
+      double p[3];
       dn__body_point(j, i, g->view.body_rest + 3 * i, g->body_skin_joint + I * i, g->body_skin_weight + I * i, p);
-      dn__unrotate(j->f->root, p, x);
-      dn__split(x, j->f->body + 3 * i, j->f->body_low + 3 * i);
+      dn__unrotate(j->f->root, p, j->f->body + 3 * i);
    }
 }
 static void dn__body_normals_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__wear_job *j = (const dn__wear_job *)job;
    (void)worker;
-   dn__normals_fine_range(j->f->body, j->f->body_low, j->g->body_triangle, j->g->body_corner_first,
-                          j->g->body_corner_tri, begin, end, j->f->body_normals);
+   dn__normals_fine_run(j->g->model[0]->info.kernel, j->f->body, j->g->body_triangle, j->g->body_corner_first,
+                        j->g->body_corner_tri, begin, end, j->f->body_normals);
 }
 /* positions in the network's frame: the body node in the coarse stage, M_coarse in the refining one */
 static void dn__garment_framed_range(void *job, size_t begin, size_t end, unsigned worker)
@@ -11243,8 +11567,7 @@ static void dn__garment_framed_range(void *job, size_t begin, size_t end, unsign
          d[k] = j->k == 0 ? 0.0 : (double)f->coarse_displacement[i + k];
          p[k] = (double)f->base[i + k] + (double)f->base_low[i + k] + d[k];
       }
-      dn__unrotate(f->root, p, x);
-      dn__split(x, f->framed + i, f->low + i);
+      dn__unrotate(f->root, p, f->framed + i);
       dn__unrotate(f->root, d, x);
       for (k = 0; k < 3; k++) f->delta[i + k] = (float)x[k];
    }
@@ -11256,16 +11579,17 @@ static void dn__garment_rows_range(void *job, size_t begin, size_t end, unsigned
    const dn_garment_view *v = &g->view;
    const dn__wear *f = j->f;
    size_t i, k, c, D = j->stage->row_width, joints = g->model[j->k]->info.joints;
+   dn_kernel kernel = g->model[j->k]->info.kernel;
    float *rows = f->rows;
    (void)worker;
    if (j->k == 1)
-      dn__normals_fine_range(f->framed, f->low, v->triangle, g->corner_first, g->corner_tri, begin, end, f->normals);
+      dn__normals_fine_run(kernel, f->framed, v->triangle, g->corner_first, g->corner_tri, begin, end, f->normals);
    for (k = 0; k < j->stage->feature_count; k++) {
       switch (j->stage->features[k]) {
       case DN_POSITION: dn__rows_position(f->framed, begin, end, rows, D); rows += 3; break;
       case DN_RELATIVE: /* r_b', in the refining stage r_b' + Delta_coarse                              T 4.7 */
-         dn__rows_relative(g->anchor, v->skin_joint, v->skin_weight, v->influences, NULL, f->seen, begin, end, rows,
-                           D);
+         dn__rows_relative_run(kernel, g->anchor, v->skin_joint, v->skin_weight, v->influences, NULL, f->seen, begin, end,
+                               rows, D);
          for (i = begin; i < end && j->k == 1; i++)
             for (c = 0; c < 3; c++) rows[i * D + c] += f->delta[3 * i + c];
          rows += 3;
@@ -11276,7 +11600,10 @@ static void dn__garment_rows_range(void *job, size_t begin, size_t end, unsigned
             for (i = begin; i < end; i++) memcpy(rows + i * D, f->body_normals + 3 * (size_t)v->body_node[i], 12);
          rows += 3;
          break;
-      case DN_DISTANCE: dn__rows_distance(f->framed, f->posed, joints, begin, end, rows, D); rows += joints; break;
+      case DN_DISTANCE:
+         dn__rows_distance_run(kernel, f->framed, f->posed, joints, begin, end, rows, D);
+         rows += joints;
+         break;
       case DN_FIT:
          for (i = begin; i < end; i++) memcpy(rows + i * D, v->alpha, j->stage->fit * sizeof *rows);
          rows += j->stage->fit;
@@ -11285,6 +11612,22 @@ static void dn__garment_rows_range(void *job, size_t begin, size_t end, unsigned
       default: break;
       }
    }
+}
+typedef struct dn__normalise_job { const dn__stage *stage; dn_kernel kernel; float *rows; } dn__normalise_job;
+static void dn__normalise_job_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__normalise_job *j = (const dn__normalise_job *)job;
+   const dn__stage *s = j->stage;
+   (void)worker;
+   dn__normalise_run(j->kernel, s->input_mean, s->input_scale, s->input_rest, s->row_width, j->rows, begin, end);
+}
+static void dn__normalise(const dn__stage *stage, dn_kernel kernel, float *rows, size_t nodes, const dn_parallel *parallel)
+{
+   dn__normalise_job job;
+   job.stage = stage;
+   job.kernel = kernel;
+   job.rows = rows;
+   if (stage->input_mean) dn__for(parallel, nodes, 512, dn__normalise_job_range, &job);
 }
 /* Stage k's network, up to displacements in model space; with `found` no further than its pools */
 static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn_garment_pose *pose, size_t k,
@@ -11337,7 +11680,7 @@ static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn
       if (v->thetas && pose->theta) memcpy(theta, pose->theta, v->thetas * sizeof *theta);
       else memset(theta, 0, v->thetas * sizeof *theta);
    }
-   dn__normalise(stage, f->rows, nodes, parallel);
+   dn__normalise(stage, m->info.kernel, f->rows, nodes, parallel); /* after the tap, which sees the rows as they are */
    dn__run_garment(&run, f->rows, displacement);
    if (!found) dn__displace(stage, f->root, displacement, nodes, parallel);
 }
@@ -11453,9 +11796,10 @@ static void dn__garment_output_range(void *job, size_t begin, size_t end, unsign
 static void dn__garment_normals_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__wear_job *j = (const dn__wear_job *)job;
+   const dn_model *m = j->g->model[1] ? j->g->model[1] : j->g->model[0];
+   dn__normals_run(m ? m->info.kernel : DN_KERNEL_AUTO, j->f->refined, j->g->view.triangle, j->g->corner_first,
+                   j->g->corner_tri, begin, end, j->f->normals);
    (void)worker;
-   dn__normals_range(j->f->refined, j->g->view.triangle, j->g->corner_first, j->g->corner_tri, begin, end,
-                     j->f->normals);
 }
 DN_API dn_result dn_garment_stage_output(const dn_garment *g, const dn_garment_pose *pose, dn_garment_output *out,
                                          void *scratch, const dn_parallel *parallel, dn_error *err)
@@ -14292,6 +14636,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__TANH_4
 #undef DN__TANH_SMALL
 #undef DN__TARGET_AVX2
+#undef DN__TARGET_AVX2_UNFUSED
 #undef DN__TARGET_AVX512
 #undef DN__TICK
 #undef DN__TILE_ROWS

@@ -210,8 +210,8 @@ TEST(normals_gathered_and_scattered_are_the_same_bits)
 {
    uint64_t seed = 11;
    size_t nodes = 300, triangles = 900, i, cut;
-   float *p = (float *)test_block(nodes * 12), *a = (float *)test_block(nodes * 12), *b = (float *)test_block(nodes * 12),
-         *low = (float *)test_block(nodes * 12);
+   float *p = (float *)test_block(nodes * 12), *a = (float *)test_block(nodes * 12), *b = (float *)test_block(nodes * 12);
+   double *fine = (double *)test_block(nodes * 24);
    uint32_t *t = (uint32_t *)test_block(triangles * 12), *first = (uint32_t *)test_block((nodes + 1) * 4),
             *corner = (uint32_t *)test_block(triangles * 12);
    for (i = 0; i < 3 * nodes; i++) p[i] = test_uniform(&seed, -1.0f, 1.0f);
@@ -224,21 +224,17 @@ TEST(normals_gathered_and_scattered_are_the_same_bits)
       dn__normals_range(p, t, first, corner, 0, cut, b);
       CHECK(memcmp(a, b, nodes * 12) == 0);
    }
-   memset(low, 0, nodes * 12);
-   dn__normals_fine_range(p, low, t, first, corner, 0, nodes, b);
+   for (i = 0; i < 3 * nodes; i++) fine[i] = (double)p[i];
+   dn__normals_fine_range(fine, t, first, corner, 0, nodes, b);
    for (i = 0; i < 3 * nodes; i++) CHECK(near((double)a[i], (double)b[i], 2e-5)); /* the same in double */
-   for (i = 0; i < 3 * nodes; i++) { /* and a split into two floats gives what their sum gives */
-      float whole = p[i];
-      low[i] = whole * 3e-5f;
-      p[i] = whole - low[i];
-   }
-   dn__normals_fine_range(p, low, t, first, corner, 0, nodes, a);
+   for (i = 0; i < 3 * nodes; i++) fine[i] += 1e6; /* where floats lie 6 cm apart */
+   dn__normals_fine_range(fine, t, first, corner, 0, nodes, a);
    for (i = 0; i < 3 * nodes; i++) CHECK(near((double)a[i], (double)b[i], 1e-6));
    for (i = 0; i + 1 < nodes; i++)
       CHECK(near((double)a[3 * i] * (double)a[3 * i] + (double)a[3 * i + 1] * (double)a[3 * i + 1] +
                  (double)a[3 * i + 2] * (double)a[3 * i + 2], 1.0, 1e-5));
    CHECK(a[3 * nodes - 3] == 0.0f && a[3 * nodes - 2] == 0.0f && a[3 * nodes - 1] == 0.0f);
-   free(p), free(a), free(b), free(low), free(t), free(first), free(corner);
+   free(p), free(a), free(b), free(fine), free(t), free(first), free(corner);
 }
 TEST(normals_weigh_by_area_and_survive_anything)
 {
@@ -559,12 +555,14 @@ TEST(rows_write_their_own_columns)
    /* three features in rows of 11 floats: relative at 1, normal at 4, distance (3 joints) at 7; 0 and 10 are others' */
    uint64_t seed = 6;
    enum { N = 9, D = 11, I = 4 };
-   float palette[36], rest[3 * N], coarse[3 * N], normal[3 * N], weight[5 * I], joint_rest[9], posed[9], rows[N * D];
+   float palette[36], rest[3 * N], coarse[3 * N], normal[3 * N], weight[5 * I], joint_rest[9], posed[3 * 16], rows[N * D];
+   double place[3 * N];
    uint32_t joint[5 * I], vertex[N];
    static const uint32_t map[3] = { 2, 0, 1 };
    size_t i, k, s;
    random_palette(&seed, 3, palette, 0);
    for (i = 0; i < 3 * N; i++) rest[i] = test_uniform(&seed, -1, 1), coarse[i] = test_uniform(&seed, -1, 1), normal[i] = test_uniform(&seed, -1, 1);
+   for (i = 0; i < 3 * N; i++) place[i] = (double)coarse[i];
    for (i = 0; i < 9; i++) joint_rest[i] = test_uniform(&seed, -1, 1);
    for (i = 0; i < 5 * I; i++) joint[i] = test_random(&seed) % 3, weight[i] = test_uniform(&seed, 0, 1);
    for (i = 0; i < N; i++) vertex[i] = (uint32_t)(i * 2 % 5);
@@ -573,7 +571,7 @@ TEST(rows_write_their_own_columns)
    for (i = 0; i < N; i += 3) {
       dn__rows_relative(rest, joint, weight, I, vertex, palette, i, i + 3, rows + 1, D);
       dn__rows_normal(normal, i, i + 3, rows + 4, D);
-      dn__rows_distance(coarse, posed, 3, i, i + 3, rows + 7, D);
+      dn__rows_distance(place, posed, 3, i, i + 3, rows + 7, D);
    }
    for (i = 0; i < N; i++) {
       CHECK(rows[i * D] == 77.0f && rows[i * D + 10] == 77.0f);
@@ -598,7 +596,7 @@ TEST(rows_write_their_own_columns)
          CHECK(near((double)rows[i * D + 7 + s], sqrt(square), 1e-5));
       }
    }
-   dn__rows_position(coarse, 0, N, rows, D);
+   dn__rows_position(place, 0, N, rows, D);
    dn__rows_geodesic(coarse, 3, 0, N, rows + 4, D);
    for (i = 0; i < 3 * N; i++) CHECK(rows[i / 3 * D + i % 3] == coarse[i] && rows[i / 3 * D + 4 + i % 3] == coarse[i]);
 }

@@ -322,7 +322,7 @@ static float *block_alone(const alone *a, const char *name, size_t count, size_t
    }
    if (strstr(wiring[at].input[0], "features")) {
       const dn__stage *stage = &m->stage[strncmp(name, "detail.", 7) == 0];
-      if (stage->row_width == total) dn__normalise(stage, x, rows, NULL);
+      if (stage->row_width == total) dn__normalise(stage, m->info.kernel, x, rows, NULL);
    }
    y = (float *)need(count * width, sizeof *y);
    if (strcmp(block, "hadamard") == 0) {

@@ -1,7 +1,8 @@
 /*  rows.c - what the network reads: whole rows, and a first layer whose geodesic columns were summed at bind
 
     shows   dn_rows lists every descriptor in the model's order; wherever the geodesic columns stand, with and without batch
-            norm, bias and scales, in every kernel, the network is the one the file describes, evaluated here in double
+            norm, bias and scales, in every kernel, the network is the one the file describes, evaluated here in double;
+            every text of >>features against the plain one, nothing written outside, the same bits wherever a range begins
     build   cc -O2 rows.c -o rows -lm */
 #define DEFORMNET_IMPLEMENTATION
 #define DEFORMNET_STATIC
@@ -145,9 +146,125 @@ TEST(the_first_layer_is_whole_wherever_its_columns_are_summed)
    AT_LEAST(cases, 96, "networks");
 }
 
+/* --- the texts of >>features */
+#define GUARD 12345.5f
+static size_t pick(uint64_t *seed, size_t low, size_t high) { return low + test_random(seed) % (high - low + 1); }
+typedef struct scene { /* every array ends with its block; positions and fine have the one number that is loaded past the end */
+   size_t nodes, triangles, joints, influences, width;
+   float *positions, *rest, *weight, *palette, *posed, *mean, *scale, *part, root[9];
+   double *fine;
+   uint32_t *triangle, *corner_first, *corner_tri, *joint, *vertex;
+} scene;
+static float *uniform(uint64_t *seed, size_t count, float low, float high)
+{
+   float *p = (float *)test_block(count * sizeof *p);
+   size_t i;
+   for (i = 0; i < count; i++) p[i] = test_uniform(seed, low, high);
+   return p;
+}
+static scene scene_make(uint64_t *seed)
+{
+   scene s;
+   size_t i, k, pitch;
+   float *joint_rest;
+   s.nodes = pick(seed, 2, 40), s.triangles = pick(seed, 0, 90), s.joints = pick(seed, 1, 40);
+   s.influences = pick(seed, 0, 2) ? 4 : pick(seed, 1, 9);
+   s.width = pick(seed, 1, 40);
+   s.positions = uniform(seed, 3 * s.nodes + 1, -1, 1), s.rest = uniform(seed, 3 * s.nodes, -1, 1);
+   s.palette = uniform(seed, 12 * s.joints, -1, 1), s.weight = uniform(seed, s.nodes * s.influences, 0, 1);
+   s.mean = uniform(seed, s.width, -1, 1), s.scale = uniform(seed, s.width, 0.1f, 9), s.part = uniform(seed, s.width, -1e-7f, 1e-7f);
+   s.fine = (double *)test_block((3 * s.nodes + 1) * sizeof(double));
+   for (i = 0; i <= 3 * s.nodes; i++) s.fine[i] = (double)s.positions[i] + (double)test_uniform(seed, -1e-8f, 1e-8f);
+   s.positions[3 * s.nodes] = NAN, s.fine[3 * s.nodes] = (double)NAN;
+   s.triangle = (uint32_t *)test_block(12 * s.triangles), s.corner_tri = (uint32_t *)test_block(12 * s.triangles);
+   s.corner_first = (uint32_t *)test_block(4 * (s.nodes + 1));
+   s.joint = (uint32_t *)test_block(4 * s.nodes * s.influences), s.vertex = (uint32_t *)test_block(4 * s.nodes);
+   for (i = 0; i < s.triangles; i++) { /* near nodes, with repeats now and then; the last node mostly has none */
+      uint32_t at = test_random(seed) % (uint32_t)(s.nodes - 1);
+      for (k = 0; k < 3; k++) s.triangle[3 * i + k] = (at + test_random(seed) % 4) % (uint32_t)s.nodes;
+   }
+   dn__corners_build(s.triangle, s.triangles, s.nodes, s.corner_first, s.corner_tri);
+   for (i = 0; i < s.nodes * s.influences; i++) s.joint[i] = test_random(seed) % (uint32_t)s.joints, s.weight[i] /= (float)s.influences;
+   for (i = 0; i < s.nodes; i++) s.vertex[i] = (uint32_t)(s.nodes - 1 - i);
+   for (i = 0; i < 9; i++) s.root[i] = test_uniform(seed, -1, 1);
+   pitch = dn__posed_pitch(s.joints);
+   s.posed = (float *)test_block(3 * pitch * sizeof(float));
+   joint_rest = uniform(seed, 3 * s.joints, -1, 1);
+   dn__posed_joints(s.palette, NULL, joint_rest, s.joints, s.posed);
+   free(joint_rest);
+   return s;
+}
+static void scene_free(scene *s)
+{
+   free(s->positions), free(s->rest), free(s->weight), free(s->palette), free(s->posed), free(s->mean), free(s->scale), free(s->part);
+   free(s->fine), free(s->triangle), free(s->corner_first), free(s->corner_tri), free(s->joint), free(s->vertex);
+}
+enum { NORMALS, FINE, FRAMED, RELATIVE, DISTANCE, NORMALISE, TEXTS };
+/* out (nodes,stride) from its second number on; FRAMED fills doubles */
+static void text(int which, dn_kernel kernel, const scene *s, size_t begin, size_t end, void *out, size_t stride)
+{
+   float *f = (float *)out + 1;
+   switch (which) {
+   case NORMALS: dn__normals_run(kernel, s->positions, s->triangle, s->corner_first, s->corner_tri, begin, end, f); break;
+   case FINE: dn__normals_fine_run(kernel, s->fine, s->triangle, s->corner_first, s->corner_tri, begin, end, f); break;
+   case FRAMED:
+      dn__framed_lbs_run(kernel, s->rest, s->joint, s->weight, s->influences, s->vertex, s->palette, s->root, begin, end, (double *)out + 1);
+      break;
+   case RELATIVE:
+      dn__rows_relative_run(kernel, s->rest, s->joint, s->weight, s->influences, stride % 2 ? s->vertex : NULL, s->palette, begin, end, f, stride);
+      break;
+   case DISTANCE: dn__rows_distance_run(kernel, s->fine, s->posed, s->joints, begin, end, f, stride); break;
+   default: dn__normalise_run(kernel, s->mean, s->scale, s->part, s->width, f, begin, end); break;
+   }
+}
+static void text_case(int which, dn_kernel kernel, const scene *s, uint64_t *seed)
+{
+   size_t columns = which == DISTANCE ? s->joints : which == NORMALISE ? s->width : 3;
+   size_t stride = which == RELATIVE || which == DISTANCE ? columns + pick(seed, 0, 4) : columns;
+   size_t begin = pick(seed, 0, s->nodes), end = pick(seed, begin, s->nodes), cut = pick(seed, begin, end), i, c;
+   size_t cell = which == FRAMED ? sizeof(double) : sizeof(float), numbers = 2 + s->nodes * stride, bytes = numbers * cell;
+   void *out[3]; /* plain, fast, fast in two ranges */
+   for (c = 0; c < 3; c++) {
+      out[c] = test_block(bytes);
+      for (i = 0; i < numbers; i++) {
+         if (which == FRAMED) ((double *)out[c])[i] = (double)GUARD;
+         else ((float *)out[c])[i] = which == NORMALISE && i > 0 && i + 1 < numbers ? s->positions[i % (3 * s->nodes)] : GUARD;
+      }
+   }
+   text(which, DN_KERNEL_REF, s, begin, end, out[0], stride);
+   text(which, kernel, s, begin, end, out[1], stride);
+   text(which, kernel, s, begin, cut, out[2], stride);
+   text(which, kernel, s, cut, end, out[2], stride);
+   CHECK_MSG(memcmp(out[1], out[2], bytes) == 0, "text %d of kernel %d: other bits when a range begins elsewhere", which, (int)kernel);
+   for (i = 0; i < numbers; i++) {
+      double want = which == FRAMED ? ((double *)out[0])[i] : (double)((float *)out[0])[i];
+      double got = which == FRAMED ? ((double *)out[1])[i] : (double)((float *)out[1])[i];
+      size_t node = i ? (i - 1) / stride : 0;
+      int own = i > 0 && i + 1 < numbers && node >= begin && node < end && (i - 1) % stride < columns;
+      CHECK_MSG(own ? fabs(got - want) <= (which == FRAMED ? 1e-13 : 1e-6) * (1 + fabs(want)) : got >= want && got <= want,
+                "text %d of kernel %d, node %lu of %lu to %lu: %.9g, expected %.9g", which, (int)kernel, (unsigned long)node,
+                (unsigned long)begin, (unsigned long)end, got, want);
+   }
+   free(out[0]), free(out[1]), free(out[2]);
+}
+TEST(every_text_equals_the_plain_one)
+{
+   uint64_t seed = 3;
+   size_t cases = 0;
+   int k, which, round;
+   for (round = 0; round < 150; round++) {
+      scene s = scene_make(&seed);
+      for (k = 0; k < DN_KERNEL_COUNT; k++)
+         for (which = 0; which < TEXTS && dn_kernel_available((dn_kernel)k); which++, cases++) text_case(which, (dn_kernel)k, &s, &seed);
+      scene_free(&s);
+   }
+   AT_LEAST(cases, 150 * TEXTS, "texts");
+}
+
 int main(int argc, char **argv)
 {
    TEST_BEGIN(argc, argv);
    RUN(the_first_layer_is_whole_wherever_its_columns_are_summed);
+   RUN(every_text_equals_the_plain_one);
    return TEST_END();
 }

@@ -178,8 +178,9 @@ API size_t dnt_batch(const dnt_patch *patch, size_t patches, size_t n, const int
       const size_t N = c->nodes, S = c->model_joints, at = p * n;
       int32_t *local = (int32_t *)malloc(N * sizeof *local), *depth = (int32_t *)malloc(n * sizeof *depth);
       float *coarse = (float *)malloc(6 * N * sizeof *coarse), *normal = coarse + 3 * N; /* only what is needed is filled */
-      float *palette = (float *)malloc((12 * c->joints + 3 * S + D) * sizeof *palette), *posed = palette + 12 * c->joints;
-      float *row = posed + 3 * S, rotation[9];
+      size_t pitch = dn__posed_pitch(S);
+      float *palette = (float *)malloc((12 * c->joints + 3 * pitch + D) * sizeof *palette), *posed = palette + 12 * c->joints;
+      float *row = posed + 3 * pitch, rotation[9];
       uint32_t *list = node + at;
       if (!local || !depth || !coarse || !palette) {
          failed = 1;
@@ -201,16 +202,18 @@ API size_t dnt_batch(const dnt_patch *patch, size_t patches, size_t n, const int
       for (size_t q = 0; q < n; q++) {
          size_t i = list[q], to = 0, m = 1;
          float *out = rows + (at + q) * D, side = patch[p].mirror ? -1.0f : 1.0f;
+         double place[3];
+         for (int k = 0; k < 3; k++) place[k] = (double)coarse[3 * i + k];
          dn__normals_range(coarse, c->triangle, c->corner_first, c->corner_tri, i, i + 1, normal);
          for (const int32_t *f = features; *f >= 0; f++) {
             size_t w = *f == DN_GEODESIC || *f == DN_DISTANCE ? S : 3;
-            if (*f == DN_POSITION) dn__rows_position(coarse + 3 * i, 0, 1, row + to, D);
+            if (*f == DN_POSITION) dn__rows_position(place, 0, 1, row + to, D);
             else if (*f == DN_RELATIVE)
                dn__rows_relative(c->rest + 3 * i, c->joint + c->influences * i, c->weight + c->influences * i, c->influences,
                                  NULL, palette, 0, 1, row + to, D);
             else if (*f == DN_NORMAL) dn__rows_normal(normal + 3 * i, 0, 1, row + to, D);
             else if (*f == DN_GEODESIC) dn__rows_geodesic(c->geodesic + S * i, S, 0, 1, row + to, D);
-            else dn__rows_distance(coarse + 3 * i, posed, S, 0, 1, row + to, D);
+            else dn__rows_distance(place, posed, S, 0, 1, row + to, D);
             if (w == 3) out[to] = side * row[to], out[to + 1] = row[to + 1], out[to + 2] = row[to + 2];
             else if (!patch[p].mirror) memcpy(out + to, row + to, w * sizeof *out);
             else for (size_t s = 0; s < S; s++) out[to + s] = row[to + c->mirror[s]];
