@@ -208,12 +208,48 @@ TEST(products_equal_the_reference)
          linear_case((dn_kernel)k, &seed, 20, n + 1, 29, n % 3, n % 4, all_activations[(n + 1) % 6], 1), cases++;
          linear_case((dn_kernel)k, &seed, 9, 33, n + (n == 0), n % 5, n % 3, all_activations[(n + 2) % 6], 1), cases++;
          linear_case((dn_kernel)k, &seed, 33, 32 + n, 28 + n, n % 2, 0, DN_ACT_TANH, 0), cases++;
+         linear_case((dn_kernel)k, &seed, 64 + n, 48 + n, 84 + n, n % 7, n % 9, all_activations[(n + 5) % 6], 1), cases++;
       }
       for (i = 0; i < 60; i++, cases++)
          linear_case((dn_kernel)k, &seed, pick(&seed, 1, 130), pick(&seed, 1, 130), pick(&seed, 1, 70),
                      pick(&seed, 0, 15), pick(&seed, 0, 15), all_activations[pick(&seed, 0, 5)], (int)pick(&seed, 0, 1));
    }
    AT_LEAST(cases, 132, "shapes");
+}
+/* whether a row stands alone, among a few or among many: the same bits */
+TEST(a_row_does_not_depend_on_the_others)
+{
+   enum { IN = 45, ROWS = 103 };
+   static const size_t outs[] = { 3, 16, 32, 41, 88 };
+   int k;
+   size_t cases = 0;
+   for (k = 0; k < DN_KERNEL_COUNT; k++) {
+      uint64_t seed = 61;
+      size_t o, r, i, count;
+      if (!dn_kernel_available((dn_kernel)k)) continue;
+      for (o = 0; o < sizeof outs / sizeof *outs; o++) {
+         size_t out = outs[o];
+         float *w = random_floats(&seed, out * IN, 0.4f), *b = random_floats(&seed, out, 1);
+         float *x = random_floats(&seed, ROWS * IN, 1.5f);
+         float *all = (float *)test_block(ROWS * out * 4), *few = (float *)test_block(ROWS * out * 4);
+         void *memory = test_aligned(dn_linear_size(IN, out));
+         dn_linear l;
+         dn_linear_pack(&l, IN, out, w, b, NULL, DN_ACT_TANHSHRINK, memory);
+         l.kernel = (dn_kernel)k;
+         dn_linear_run(&l, x, IN, ROWS, all, out, NULL);
+         for (count = 1; count <= 17; count++, cases++) {
+            for (r = 0; r < ROWS; r += i) {
+               i = ROWS - r < count ? ROWS - r : count;
+               dn_linear_run(&l, x + r * IN, IN, i, few + r * out, out, NULL);
+            }
+            CHECK_MSG(same_bits(all, few, ROWS * out * 4), "kernel %d: %lu columns by %lu rows", k, (unsigned long)out,
+                      (unsigned long)count);
+         }
+         test_aligned_free(memory);
+         free(w), free(b), free(x), free(all), free(few);
+      }
+   }
+   AT_LEAST(cases, 85, "ways to cut");
 }
 TEST(the_reference_is_the_definition)
 {
@@ -714,6 +750,7 @@ int main(int argc, char **argv)
    RUN(activations_at_their_corners);
    RUN(the_reference_is_the_definition);
    RUN(products_equal_the_reference);
+   RUN(a_row_does_not_depend_on_the_others);
    RUN(long_sums_round_little);
    RUN(constants_do_not_round);
    RUN(strange_variances_stay_numbers_or_nan);
