@@ -1,14 +1,17 @@
 /*  bench_deformnet.c - times deformnet's network on one case, one run for each line on standard input
-    usage     bench_deformnet MODEL CASE THREADS [--write FILE]
+    usage     bench_deformnet MODEL CASE THREADS [PRECISION] [--write FILE]
+    int8      takes its ranges from the case's pose, a part of it and more of it, never from the pose itself
     --write   runs once and leaves what the other libraries need: the rows, the graph, the pairs that "rest" pooling
               chose, and the displacement to compare with
-    otherwise prints "ready KERNEL"; then for a line "prepare" skins and describes and answers "prepared", for a line
-              "run" runs the network on those rows and answers with milliseconds. Only the network is timed; of a clothnet
-              model the rows are, too: those of its second stage need the first one's garment */
+    otherwise prints "ready KERNEL", or "cannot REASON"; then for a line "prepare" skins and describes and answers
+              "prepared", for a line "run" runs the network on those rows and answers with two numbers of milliseconds: the
+              network, and the rows before it (dn_stage_rows). Of a clothnet model the network's time has its rows in it:
+              those of its second stage need the first one's garment */
 #define _POSIX_C_SOURCE 200809L
 #define DEFORMNET_IMPLEMENTATION
 #include "../../deformnet.h"
 #include "../common/pool.h"
+#include "../common/ranges.h"
 #include "../common/tensors.h"
 #include "../common/tool.h"
 #include <stdio.h>
@@ -17,6 +20,11 @@
 
 typedef struct bench {
    const char *model_path, *case_path;
+   unsigned char *model_file; /* its bytes, with ranges when they were needed */
+   size_t model_size;
+   dn_precision precision;
+   float *palette, *part; /* (S,12) the case's; another made from it */
+   double rows_ms;
    ex_tensors *file;
    dn_model *model;
    dn_rig *rig;          /* or a garment */
@@ -32,11 +40,7 @@ typedef struct bench {
    float *rows[2];     /* clothnet's two feature rows, from the probe */
 } bench;
 
-static void fail(const char *path, const char *why)
-{
-   fprintf(stderr, "bench_deformnet: %s: %s\n", path, why);
-   exit(1);
-}
+static void fail(const char *path, const char *why) { ex_die("%s: %s", path, why); }
 
 static const void *get(const bench *b, const char *name, ex_dtype type, size_t rows, size_t columns, size_t *found)
 {
@@ -77,22 +81,18 @@ static void bind_garment(bench *b, const dn_rig_desc *body) /* shape: 3 alpha, 1
    b->garment = dn_garment_create(&d, NULL, NULL, &err);
    if (!b->garment) fail(b->case_path, err.info);
    memset(&b->garment_pose, 0, sizeof b->garment_pose);
-   b->garment_pose.palette = (const float *)get(b, "palette", EX_F32, d.skeleton.joints, 12, NULL);
+   get(b, "palette", EX_F32, d.skeleton.joints, 12, NULL);
+   b->garment_pose.palette = b->palette;
    b->garment_pose.theta = shape + 13;
    b->garment_pose.strength = 1.0f;
    take_scratch(b, dn_garment_scratch_size(b->garment, b->parallel.workers));
 }
 static void bind(bench *b)
 {
-   char error[EX_ERROR];
    dn_error err;
    dn_model_info info;
    dn_rig_desc d;
    dn_skin_set skin;
-   b->file = ex_tensors_open(b->case_path, error);
-   if (!b->file) fail(b->case_path, error);
-   b->model = dn_model_load_file(b->model_path, NULL, NULL, &err);
-   if (!b->model) fail(b->model_path, err.info);
    dn_model_describe(b->model, &info);
    memset(&d, 0, sizeof d);
    memset(&skin, 0, sizeof skin);
@@ -108,6 +108,7 @@ static void bind(bench *b)
    d.mesh.skin = &skin;
    d.skeleton.joints = info.joints;
    d.skeleton.names = info.joint_names;
+   d.order = DN_ORDER_NEAR; /* the other libraries get the graph in this order too */
    if (info.arch == DN_CLOTHNET) {
       bind_garment(b, &d);
       return;
@@ -117,7 +118,8 @@ static void bind(bench *b)
    b->rig = dn_rig_create(b->model, &d, NULL, NULL, &err);
    if (!b->rig) fail(b->case_path, err.info);
    memset(&b->pose, 0, sizeof b->pose);
-   b->pose.palette = (const float *)get(b, "palette", EX_F32, info.joints, 12, NULL);
+   get(b, "palette", EX_F32, info.joints, 12, NULL);
+   b->pose.palette = b->palette;
    b->pose.strength = 1.0f;
    take_scratch(b, dn_scratch_size(b->rig, b->parallel.workers));
 }
@@ -130,7 +132,9 @@ static void prepare(bench *b)
       return;
    }
    if (dn_stage_skin(b->rig, &b->pose, b->scratch, b->bytes, &b->parallel, &err) != DN_OK) fail(b->case_path, err.info);
+   b->rows_ms = ex_now_ms();
    dn_stage_rows(b->rig, b->scratch, &b->parallel);
+   b->rows_ms = ex_now_ms() - b->rows_ms;
 }
 
 static void run(bench *b, const dn_probe *probe)
@@ -160,6 +164,70 @@ static void keep_pairs(void *user, const char *name, const uint32_t *members, co
    if (!b->pairs[k]) fail(b->case_path, "out of memory");
    memcpy(b->pairs[k], members, 2 * count * sizeof *members);
    b->pair_count[k] = count;
+}
+
+static void unbind(bench *b)
+{
+   free(b->block);
+   dn_garment_free(b->garment);
+   dn_rig_free(b->rig);
+   dn_model_free(b->model);
+   b->block = NULL, b->garment = NULL, b->rig = NULL, b->model = NULL;
+}
+static int load(bench *b, dn_precision precision, dn_error *err)
+{
+   dn_model_options chosen;
+   memset(&chosen, 0, sizeof chosen);
+   chosen.precision = precision;
+   b->model = dn_model_load(b->model_file, b->model_size, &chosen, NULL, err);
+   return b->model != NULL;
+}
+/* ranges from float32 runs in poses between rest and the case's, and beyond */
+static void calibrate(bench *b)
+{
+   static const float parts[] = { 0.5f, 0.8f, 1.2f };
+   ex_ranges *r = ex_ranges_create();
+   dn_probe probe;
+   dn_error err;
+   dn_model_info info;
+   unsigned char *bytes = NULL;
+   size_t k, i, joined;
+   if (!r || !load(b, DN_PRECISION_F32, &err)) fail(b->model_path, r ? err.info : "out of memory");
+   dn_model_describe(b->model, &info);
+   b->part = (float *)ex_take(info.joints, 12 * sizeof(float));
+   if (!b->part) fail(b->model_path, "out of memory");
+   bind(b);
+   probe = ex_ranges_probe(r);
+   b->pose.palette = b->garment_pose.palette = b->part;
+   for (k = 0; k < sizeof parts / sizeof *parts; k++) {
+      for (i = 0; i < 12 * info.joints; i++) {
+         float rest = i % 12 % 5 == 0 ? 1.0f : 0.0f;
+         b->part[i] = rest + parts[k] * (b->palette[i] - rest);
+      }
+      prepare(b);
+      run(b, &probe);
+   }
+   if (ex_ranges_choose(r, 1)) bytes = ex_ranges_join(r, b->model_file, b->model_size, &joined);
+   if (!bytes) fail(b->model_path, "ranges cannot be added");
+   free(b->model_file);
+   b->model_file = bytes, b->model_size = joined;
+   ex_ranges_free(r);
+   unbind(b);
+}
+static void open_case(bench *b)
+{
+   char error[EX_ERROR];
+   const ex_tensor *palette;
+   FILE *f = fopen(b->model_path, "rb");
+   long size = f && fseek(f, 0, SEEK_END) == 0 ? ftell(f) : -1;
+   if (size < 0 || fseek(f, 0, SEEK_SET) != 0 || !(b->model_file = (unsigned char *)malloc((size_t)size + 1))) fail(b->model_path, "cannot be read");
+   b->model_size = fread(b->model_file, 1, (size_t)size, f);
+   fclose(f);
+   b->file = ex_tensors_open(b->case_path, error);
+   if (!b->file) fail(b->case_path, error);
+   palette = ex_tensors_find(b->file, "palette");
+   if (!palette || !(b->palette = (float *)ex_take(palette->count, sizeof(float)))) fail(b->case_path, "has no palette");
+   ex_tensor_f32(palette, b->palette);
 }
 
 static size_t declare(ex_writer *w, const char *name, ex_dtype type, size_t rows, size_t columns)
@@ -248,7 +316,7 @@ static void write_case(bench *b, const char *path)
 static void serve(bench *b)
 {
    char line[32];
-   printf("ready %s\n", dn_kernel_name(DN_KERNEL_AUTO));
+   printf("ready %s-%s\n", dn_precision_name(b->precision), dn_kernel_name(DN_KERNEL_AUTO));
    fflush(stdout);
    while (fgets(line, sizeof line, stdin)) {
       if (strcmp(line, "prepare\n") == 0) {
@@ -257,7 +325,8 @@ static void serve(bench *b)
       } else if (strcmp(line, "run\n") == 0) {
          double start = ex_now_ms();
          run(b, NULL);
-         printf("%.4f\n", ex_now_ms() - start);
+         start = ex_now_ms() - start;
+         printf("%.4f %.4f\n", start, b->rows_ms);
       } else fail("standard input", "expected a line prepare or run");
       fflush(stdout);
    }
@@ -265,30 +334,47 @@ static void serve(bench *b)
 
 int main(int argc, char **argv)
 {
-   bench b;
-   long threads = argc > 3 ? strtol(argv[3], NULL, 10) : 0;
-   int write = argc == 6 && strcmp(argv[4], "--write") == 0;
-   if (!(argc == 4 || write) || threads < 1 || threads > 256) {
-      fprintf(stderr, "usage: bench_deformnet MODEL CASE THREADS [--write FILE]\n");
+   static bench b;
+   dn_error err;
+   long threads = 0;
+   int named = argc == 5 || argc == 7, write = argc >= 6 && strcmp(argv[argc - 2], "--write") == 0;
+   int precision = named ? ex_precision_named(argv[4]) : (int)DN_PRECISION_F32;
+   ex_program("bench_deformnet");
+   if (argc != 4 + named + 2 * write || !ex_read_whole(argv[3], 1, 256, &threads)) {
+      fprintf(stderr, "usage: bench_deformnet MODEL CASE THREADS [PRECISION] [--write FILE]\n");
       return 2;
    }
-   memset(&b, 0, sizeof b);
    b.model_path = argv[1], b.case_path = argv[2];
    b.pool = threads > 1 ? ex_pool_create((unsigned)threads) : NULL;
    if (threads > 1 && !b.pool) fail(argv[3], "cannot start that many threads");
    b.parallel = ex_pool_parallel(b.pool);
+   open_case(&b);
+   if (precision < 0) {
+      puts("cannot no such precision in this version");
+      return 0;
+   }
+   b.precision = (dn_precision)precision;
+   if (!load(&b, b.precision, &err) && err.code == DN_MISSING_TENSOR && b.precision != DN_PRECISION_F32) {
+      calibrate(&b);
+      load(&b, b.precision, &err);
+   }
+   if (!b.model) {
+      if (b.precision == DN_PRECISION_F32) fail(b.model_path, err.info);
+      printf("cannot %s\n", err.info);
+      return 0;
+   }
    bind(&b);
-   if (write && b.garment) write_garment(&b, argv[5]);
-   else if (write) write_case(&b, argv[5]);
+   if (write && b.garment) write_garment(&b, argv[argc - 1]);
+   else if (write) write_case(&b, argv[argc - 1]);
    else serve(&b);
    free(b.pairs[0]);
    free(b.pairs[1]);
    free(b.rows[0]);
    free(b.rows[1]);
-   free(b.block);
-   dn_garment_free(b.garment);
-   dn_rig_free(b.rig);
-   dn_model_free(b.model);
+   unbind(&b);
+   free(b.model_file);
+   free(b.palette);
+   free(b.part);
    ex_tensors_close(b.file);
    ex_pool_free(b.pool);
    return 0;
