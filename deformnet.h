@@ -397,9 +397,10 @@ DN_API size_t dn_scratch_size(const dn_rig *rig, unsigned workers);
 DN_API void *dn_scratch_create(const dn_rig *rig, unsigned workers, const dn_allocator *allocator, size_t *bytes, dn_error *err);
 DN_API void dn_scratch_free(void *scratch, size_t bytes, const dn_allocator *allocator); /* NULL scratch is allowed */
 
-typedef struct dn_probe { /* sees every block's output by tensor name: "pre.0" (N,64); slow, for tests */
+typedef struct dn_probe { /* sees every block's output by tensor name: "pre.0" (N,64); for tests */
    void (*tap)(void *user, const char *name, const float *rows, size_t first /* node */, size_t count, size_t width,
-               size_t row_stride); /* the layers at the end come in tiles of nodes */
+               size_t row_stride); /* of one name in chunks of rising nodes, those of several blocks in turns: they are
+                                      under way together, and their rows are gone when the call returns */
    void (*pool)(void *user, const char *name, const uint32_t *members /* (M,2) */, const float *score, size_t count);
    void *user;
 } dn_probe;
@@ -6263,7 +6264,7 @@ typedef struct dn__pool_job {
    const dn_clusters *c;
    const float *v; /* rows read */
    float *y;       /* rows written */
-   size_t v_stride, y_stride, width;
+   size_t v_stride, y_stride, width, first; /* y starts with row `first` */
    float *logit, *scores;
 } dn__pool_job;
 static dn__pool_job dn__pool_job_of(const dn_pool *pool, const dn_graph *g, const dn_clusters *c)
@@ -6535,7 +6536,7 @@ static void dn__pool_gather_range(void *job, size_t begin, size_t end, unsigned 
    for (m = begin; m < end; m++) {
       size_t i = p->c->members[2 * m], j = p->c->members[2 * m + 1];
       const float *a = p->v + i * p->v_stride, *b = p->v + j * p->v_stride;
-      float *to = p->y + m * p->y_stride;
+      float *to = p->y + (m - p->first) * p->y_stride;
       if (i == j) {
          for (x = 0; x < p->width; x++) to[x] = a[x];
       } else {
@@ -6563,7 +6564,7 @@ static void dn__pool_scatter_range(void *job, size_t begin, size_t end, unsigned
    for (i = begin; i < end; i++) {
       size_t m = p->c->cluster[i];
       const float *from = p->v + m * p->v_stride;
-      float *to = p->y + i * p->y_stride;
+      float *to = p->y + (i - p->first) * p->y_stride;
       int alone = p->c->members[2 * m] == p->c->members[2 * m + 1];
       float s = alone ? 1.0f : 1.0f / dn__pool_factor(p->pool, p->c, m);
       for (x = 0; x < p->width; x++) to[x] = from[x] * s; /* T 3.12 */
@@ -6587,7 +6588,7 @@ DN_API void dn_pool_scatter(const dn_pool *pool, const dn_clusters *c, const flo
             garments' networks are in >>garmentnets
    touches  the memory handed in; a loaded model is never written again
    paper    DenseGATs T 3.2, MultiResGNet T 3.3, baselines T tables 3.3 and 3.4; spec section 5
-   read     dn__build_model (what each architecture is made of), then dn__run_local_global (how it runs) */
+   read     dn__build_model (what each architecture is made of), then dn__wave_run and dn__run_densegats (how it runs) */
 
 enum { DN__MAX_FEATURES = 16, DN__MAX_CHAIN = 64, DN__NAME = 64, DN__TILE = 128 };
 typedef enum dn__kind { DN__LINEAR, DN__GAT_BLOCK } dn__kind;
@@ -6613,7 +6614,6 @@ typedef struct dn__stage { /* what goes into a network and comes out; clothnet i
 typedef struct dn__branch { /* blocks around a pool, and the layers after them */
    size_t first;            /* its first block */
    size_t locals;           /* blocks of its dense module, which come first; clothnet has none */
-   const dn_gat *dense;     /* (locals) */
    dn_pool pool;
    char pool_name[DN__NAME], unpool_name[DN__NAME];
 } dn__branch;
@@ -6628,7 +6628,6 @@ struct dn_model {
    dn__block *blocks;             /* in run order */
    dn_linear bound;               /* what the bound columns add to the first block: bn(W x + b), out of its packing */
    size_t chain[3];               /* baselines: how many pre, gat and post blocks */
-   dn_gat *dense;                 /* densegats 3 x 6, multiresgnet 2, garfitnet 2 x 4: copies in rows for dn_dense_run */
    struct dn__blend_net *blend;   /* neuralblendshapes */
    dn__branch branch[2];          /* multiresgnet: one; garfitnet, clothnet's detail: direction and length */
 };
@@ -7310,7 +7309,6 @@ static void dn__load_all(dn__loader *l, size_t blocks)
    m->info.licence = dn__keep_string(l, dn__meta(l, "deformnet.licence", ""));
    m->info.trained_on = dn__keep_string(l, dn__meta(l, "deformnet.trained_on", ""));
    m->blocks = (dn__block *)dn__take(&l->memory, blocks, sizeof(dn__block));
-   m->dense = (dn_gat *)dn__take(&l->memory, 18, sizeof(dn_gat));
    if (l->failed) return;
    if (m->info.arch == DN_NEURALBLENDSHAPES) {
       dn__build_blend(l);
@@ -7324,18 +7322,6 @@ static void dn__load_all(dn__loader *l, size_t blocks)
    m->info.joints = joints;
    dn__load_scales(l, &m->stage[0], two ? "coarse." : "");
    if (two) dn__load_scales(l, &m->stage[1], "detail.");
-}
-static size_t dn__copy_dense(dn_model *m) /* dn_dense_run wants a module's blocks in a row */
-{
-   size_t i, n = 0;
-   for (i = 0; i < m->block_count; i++) {
-      const char *name = m->blocks[i].name;
-      if (!strncmp(name, "dir.", 4) || !strncmp(name, "len.", 4)) name += 4;
-      if (!strncmp(name, "dense.", 6) || !strncmp(name, "local.", 6)) m->dense[n++] = m->blocks[i].gat;
-   }
-   m->branch[0].dense = m->dense;
-   m->branch[1].dense = m->dense + m->branch[0].locals;
-   return n;
 }
 static void dn__load_options(dn__loader *l, const dn_model_options *options)
 {
@@ -7389,7 +7375,6 @@ static dn_result dn__load(const dn_tensors *file, const dn_model_options *option
       return *bytes == SIZE_MAX || *scratch_bytes == SIZE_MAX ? dn__fail(err, DN_NO_MEMORY, dn__where_model,
                                                                          SIZE_MAX, "sizes overflow") : DN_OK;
    }
-   dn__copy_dense(l.model);
    {
       dn_model_info *info = &l.model->info;
       const dn__stage *stage = l.model->stage;
@@ -7513,13 +7498,84 @@ DN_API dn_model *dn_model_load_file(const char *path, const dn_model_options *op
 #endif
 
 /* --- running. Widths and buffers first: one place says what a frame needs, the runners below only use it. */
+
+/* Rows of nodes: all of them, or as many as are under way. Row n is at + n % ring * pitch; whoever reads or writes count
+   rows at once stays within one chunk (dn__wave), and a ring holds whole chunks: they lie one after the other. */
+typedef struct dn__rows {
+   unsigned char *at;
+   size_t pitch; /* bytes from row to row */
+   size_t ring;  /* SIZE_MAX: all nodes */
+} dn__rows;
+static dn__rows dn__rows_of(const void *at, size_t pitch, size_t ring)
+{
+   dn__rows rows;
+   rows.at = (unsigned char *)(uintptr_t)at;
+   rows.pitch = pitch;
+   rows.ring = ring;
+   return rows;
+}
+static dn__rows dn__column(dn__rows rows, size_t bytes)
+{
+   rows.at += bytes;
+   return rows;
+}
+static unsigned char *dn__row(const dn__rows *rows, size_t n) { return rows->at + n % rows->ring * rows->pitch; }
+
+/* The memory of a wave (below): the upper fields are given, the others chosen by dn__plan_choose */
+typedef struct dn__plan {
+   size_t nodes, bandwidth; /* of the graph: the largest |i - j| over its edges, or more */
+   size_t depth;            /* how many stages after the first one the last use of a wide row is */
+   size_t wide, z, tile;    /* bytes a node: of a wide row, of the widest row of z, of narrow rows that stay in one stage */
+   size_t blocks, turns;    /* of attention; buffers of z when they hold all nodes and the blocks take turns */
+   size_t chunk, lag, wide_rows, z_rows, z_buffers, bytes;
+} dn__plan;
+enum { DN__STRIP = 42, /* rows: a multiple of every tile height */
+       DN__CHUNK = 4 * DN__STRIP, DN__LONG_CHUNK = 24 * DN__STRIP };
+
+typedef enum dn__op_kind { DN__OP_LINEAR, DN__OP_PRODUCTS, DN__OP_ATTEND, DN__OP_COPY, DN__OP_GATHER, DN__OP_SCATTER } dn__op_kind;
+typedef struct dn__op { /* one layer, or half of one, on the rows of a chunk */
+   dn__op_kind kind;
+   size_t stage;
+   const dn__block *block;       /* linear; products and attention */
+   const char *name;             /* what a probe calls y; NULL: not shown */
+   const float *add;             /* (N, the layer's width) linear: see dn_linear, or NULL */
+   dn__rows x, y;                /* gather: x are the fine rows; scatter: the coarse ones. Attention reads z */
+   size_t width;                 /* of y, numbers */
+   unsigned char *z;             /* products, attention: node n is row (n & mask) */
+   size_t mask;
+   const dn_pool *pool;          /* gather, scatter */
+   const dn_clusters *clusters;
+} dn__op;
+
+typedef struct dn__extent { /* what decides how much a network needs, besides its model */
+   size_t nodes, neighbours /* 2E */, bandwidth;
+   size_t coarse_nodes, coarse_bandwidth; /* of any coarse graph, at most */
+   const dn_clusters *rest; /* (branches) contractions found at bind, or NULL when there are none: dynamic pooling, and
+                               bind itself looking for them */
+} dn__extent;
+/* with coarse graphs that nothing is known of: clusters are numbered by their smaller member, and the other is at most
+   bandwidth away */
+static dn__extent dn__extent_of(size_t nodes, size_t neighbours, size_t bandwidth)
+{
+   dn__extent e;
+   e.nodes = e.coarse_nodes = nodes;
+   e.neighbours = neighbours;
+   e.bandwidth = bandwidth;
+   e.coarse_bandwidth = dn__mul(2, bandwidth);
+   e.rest = NULL;
+   return e;
+}
+
 typedef struct dn__net { /* scratch of one evaluation, carved by dn__net_layout or dn__garment_net_layout */
-   float *wide;          /* (N, wide_width): the dense row; baselines: ping */
-   float *side;          /* (N, side_width): narrow stages, unpooled rows; baselines: pong */
-   float *coarse[2];     /* (M<=N, coarse_width) */
-   void *gat;            /* the largest block's product */
-   float *tile;          /* (workers, DN__TILE, tile_width): the point-wise layers at the end */
-   size_t wide_width, side_width, coarse_width, tile_width;
+   float *wide;          /* (N, wide_width): x_0 of the modules; garments: what both branches read; baselines: ping */
+   float *side;          /* (N, side_width): garments: narrow stages; baselines: pong */
+   float *coarse;        /* (M<=N, coarse_width): what is unpooled */
+   void *gat;            /* the largest block's product, where blocks run one by one */
+   size_t wide_width, side_width, coarse_width;
+   dn__plan plan[3];     /* of the waves: on the nodes; on the coarse graph; of point-wise layers alone */
+   void *work;           /* one wave at a time */
+   dn__op *op;           /* its ops */
+   size_t op_room;
    float *scores;        /* (2E) dynamic pooling only */
    void *pool;           /* dynamic pooling: scratch of scores and contraction */
    dn_clusters clusters[2]; /* of each branch. dynamic: all arrays here, the same for both; rest: only score is, the rest is the rig's */
@@ -7527,7 +7583,287 @@ typedef struct dn__net { /* scratch of one evaluation, carved by dn__net_layout 
    float *shape;         /* (parser) garments: alpha, beta, theta in the order that the parser reads them */
    float *code[2];       /* (1, its widths) garments: the parser's rows */
 } dn__net;
+enum { DN__ON_NODES, DN__ON_COARSE, DN__POINTWISE };
 
+typedef struct dn__run { /* what every runner needs at hand */
+   const dn_model *m;
+   const dn__stage *stage;
+   const dn_graph *g;
+   const dn__net *n;
+   const dn_parallel *par;
+   const dn_probe *probe;
+   dn_clusters *found;   /* (branches) or NULL. Bind's search: run up to the pools only, contractions go here */
+   const float *start;   /* (N, width of the first block) what the bound columns add to it, or NULL */
+} dn__run;
+
+static void dn__tap(const dn__run *r, const char *name, const float *rows, size_t first, size_t count, size_t width,
+                    size_t stride)
+{
+   if (r->probe && r->probe->tap) r->probe->tap(r->probe->user, name, rows, first, count, width, stride);
+}
+
+/* --- what a wave does to a range of rows of one block */
+static size_t dn__cell(const dn__block *b) /* bytes of a number in the rows that a block reads */
+{
+   (void)b;
+   return sizeof(float);
+}
+static size_t dn__z_pitch(const dn__block *b) { return dn__mul(dn__gat_stride(&b->gat), sizeof(float)); }
+/* z (rows, dn__z_pitch) and the self columns of y, activated; y starts with the block's first column */
+static void dn__block_products(const dn__block *b, const unsigned char *x, size_t x_pitch, unsigned char *z,
+                               unsigned char *y, size_t y_pitch, size_t rows)
+{
+   dn_linear z_of = dn__gat_z(&b->gat), c_of = dn__gat_c(&b->gat);
+   const float *from = (const float *)(const void *)x;
+   dn__product(&z_of, from, x_pitch / sizeof(float), (float *)(void *)z, z_of.out, 0, rows);
+   dn__product(&c_of, from, x_pitch / sizeof(float), (float *)(void *)y + b->gat.heads * b->gat.features,
+               y_pitch / sizeof(float), 0, rows);
+}
+/* the other columns of y, nodes begin to end - 1; z of node n is row (n & mask), y starts with node `begin` */
+static void dn__block_attend(const dn__block *b, const dn_graph *g, const unsigned char *z, size_t mask,
+                             unsigned char *y, size_t y_pitch, size_t begin, size_t end)
+{
+   const dn__kernel *k = dn__kernel_of(b->gat.kernel);
+   (k ? k->attend : dn__attend_ref)(&b->gat, g, (const float *)(const void *)z, mask, (float *)(void *)y,
+                                    y_pitch / sizeof(float), begin, end);
+}
+static void dn__op_rows(const dn__op *op, const dn_graph *g, size_t begin, size_t end)
+{
+   unsigned char *y = dn__row(&op->y, begin), *x;
+   size_t n, most;
+   dn_linear layer;
+   dn__pool_job pooled;
+   switch (op->kind) {
+   case DN__OP_LINEAR:
+      layer = op->block->linear;
+      if (op->add) layer.add = op->add + begin * layer.out;
+      dn__product(&layer, (const float *)(const void *)dn__row(&op->x, begin), op->x.pitch / sizeof(float),
+                  (float *)(void *)y, op->y.pitch / sizeof(float), 0, end - begin);
+      break;
+   case DN__OP_PRODUCTS:
+      for (x = dn__row(&op->x, begin); begin < end; begin += n) { /* in two where the ring of z begins again */
+         most = op->mask - (begin & op->mask);
+         n = end - begin - 1 > most ? most + 1 : end - begin;
+         dn__block_products(op->block, x, op->x.pitch, op->z + (begin & op->mask) * dn__z_pitch(op->block), y,
+                            op->y.pitch, n);
+         x += n * op->x.pitch;
+         y += n * op->y.pitch;
+      }
+      break;
+   case DN__OP_ATTEND: dn__block_attend(op->block, g, op->z, op->mask, y, op->y.pitch, begin, end); break;
+   case DN__OP_COPY:
+      for (n = begin; n < end; n++, y += op->y.pitch) memcpy(y, dn__row(&op->x, n), op->width * sizeof(float));
+      break;
+   case DN__OP_GATHER:
+   case DN__OP_SCATTER:
+   default:
+      pooled = dn__pool_job_of(op->pool, NULL, op->clusters);
+      pooled.v = (const float *)(const void *)op->x.at;
+      pooled.v_stride = op->x.pitch / sizeof(float);
+      pooled.y = (float *)(void *)y;
+      pooled.y_stride = op->y.pitch / sizeof(float);
+      pooled.first = begin;
+      pooled.width = op->width;
+      (op->kind == DN__OP_GATHER ? dn__pool_gather_range : dn__pool_scatter_range)(&pooled, begin, end, 0);
+   }
+}
+
+/* --- a wave: several layers on their way over the nodes at once, some nodes apart
+
+        step s      nodes 0 ............................................. N
+        stage 0                                     | chunk s |                     products of block 0
+        stage 1                 | chunk s - L |                                     attention of 0, products of block 1
+        stage 2     | chunk s - 2L |                                                attention of 1, ...
+
+   A block's product reads no rows but a node's own; its attention reads z of neighbours, and those are less than
+   bandwidth away: with L = ceil(bandwidth / chunk) + 1 they are all there, made in earlier steps. So all stages of a step
+   are independent, one parallel loop runs them, and wide rows live only from stage 0 to the last: in a ring of
+   depth L + 1 chunks in place of N rows. So do the rows of z, from a chunk's stage to where the neighbours' attention has
+   passed. Where the bandwidth is too large for that to gain anything the rings hold all nodes, and the blocks' z take
+   turns in two buffers: z_b+2 overwrites z_b no earlier than attention b has passed, which lies L chunks ahead.
+   The order of every sum is that of dn_dense_ref: results do not depend on chunk, lag or ranges. */
+static void dn__plan_at(dn__plan *p, size_t chunk)
+{
+   size_t reach = dn__min(p->bandwidth, p->nodes), window;
+   p->chunk = chunk;
+   p->lag = (reach + (chunk - 1)) / chunk + 1;
+   p->wide_rows = dn__min(p->nodes, dn__mul(dn__add(dn__mul(p->depth, p->lag), 1), chunk));
+   window = dn__add(reach, dn__mul(p->lag + 1, chunk)); /* z that attention still reads .. z being written */
+   for (p->z_rows = 1; p->z_rows < window && p->z_rows < p->nodes;) p->z_rows *= 2;
+   p->z_buffers = p->blocks;
+   if (p->z_rows >= p->nodes || dn__mul(p->blocks, p->z_rows) >= dn__mul(p->turns, p->nodes)) {
+      p->z_rows = p->nodes;
+      p->z_buffers = dn__min(p->blocks, p->turns);
+   }
+   p->bytes = dn__round(dn__mul(p->wide_rows, p->wide), DN__ALIGN);
+   p->bytes = dn__add(p->bytes, dn__mul(p->z_buffers, dn__round(dn__mul(p->z_rows, p->z), DN__ALIGN)));
+   p->bytes = dn__add(p->bytes, dn__round(dn__mul(chunk, p->tile), DN__ALIGN));
+}
+/* Chooses the chunk that needs the least memory. More workers never need less: larger chunks only drop out of the choice. */
+static void dn__plan_choose(dn__plan *p, unsigned workers)
+{
+   size_t least = dn__max(DN__CHUNK, dn__mul(workers, DN__STRIP)), count, chunk;
+   dn__plan best = *p;
+   if (p->depth == 0) { /* no attention: long enough to be worth a parallel loop */
+      dn__plan_at(p, dn__min(dn__max(2 * DN__CHUNK, least), dn__mul(p->nodes / DN__STRIP + 1, DN__STRIP)));
+      return;
+   }
+   dn__plan_at(&best, dn__min(dn__max(DN__LONG_CHUNK, least), dn__mul(p->nodes / DN__STRIP + 1, DN__STRIP)));
+   for (count = 1; p->bandwidth < p->nodes / dn__max(p->depth, 1); count++) { /* the shortest chunk of each lag */
+      chunk = ((p->bandwidth + (count - 1)) / count + (DN__STRIP - 1)) / DN__STRIP * DN__STRIP;
+      dn__plan_at(p, dn__max(chunk, least));
+      if (p->bytes < best.bytes) best = *p;
+      if (chunk <= least) break;
+   }
+   *p = best;
+}
+
+enum { DN__MAX_STAGES = 16 };
+typedef struct dn__unit { size_t stage, begin, end, rows /* an item's */, item; } dn__unit; /* a stage's chunk of this step */
+typedef struct dn__wave {
+   const dn__run *r;
+   const dn_graph *g;
+   const dn__plan *plan;
+   dn__op *op;
+   size_t ops, stages, cost[DN__MAX_STAGES]; /* of a row, in multiply-adds or so */
+   dn__rows wide, tile;
+   size_t tile_used;
+   unsigned char *z;
+   dn__unit unit[DN__MAX_STAGES];
+   size_t units;
+} dn__wave;
+
+static void dn__wave_open(dn__wave *w, const dn__run *r, const dn_graph *g, size_t which)
+{
+   const dn__plan *p = &r->n->plan[which];
+   dn__arena a = dn__arena_of(r->n->work, p->bytes);
+   memset(w, 0, sizeof *w);
+   w->r = r;
+   w->g = g;
+   w->plan = p;
+   w->op = r->n->op;
+   w->wide = dn__rows_of(dn__take(&a, p->wide_rows, p->wide), p->wide, p->wide_rows < p->nodes ? p->wide_rows : SIZE_MAX);
+   w->z = (unsigned char *)dn__take(&a, p->z_buffers, dn__round(p->z_rows * p->z, DN__ALIGN));
+   w->tile = dn__rows_of(dn__take(&a, p->chunk, p->tile), p->tile, p->chunk);
+   DN_ASSERT(a.used <= p->bytes && g->nodes <= p->nodes);
+}
+static dn__rows dn__wave_tile(dn__wave *w, size_t width) /* narrow rows that are read in the stage that writes them */
+{
+   dn__rows rows = dn__column(w->tile, w->tile_used);
+   w->tile_used += width * sizeof(float);
+   DN_ASSERT(w->tile_used <= w->plan->tile);
+   return rows;
+}
+static dn__op *dn__wave_add(dn__wave *w, dn__op_kind kind, size_t stage, const dn__block *b, dn__rows x, dn__rows y,
+                            size_t width, size_t cost)
+{
+   dn__op *op = &w->op[w->ops++];
+   DN_ASSERT(w->ops <= w->r->n->op_room && stage < DN__MAX_STAGES);
+   memset(op, 0, sizeof *op);
+   op->kind = kind;
+   op->stage = stage;
+   op->block = b;
+   op->x = x;
+   op->y = y;
+   op->width = width;
+   w->stages = dn__max(w->stages, stage + 1);
+   w->cost[stage] += cost;
+   return op;
+}
+static void dn__wave_linear(dn__wave *w, size_t stage, const dn__block *b, dn__rows x, dn__rows y)
+{
+   dn__op *op = dn__wave_add(w, DN__OP_LINEAR, stage, b, x, y, b->out, b->in * b->out);
+   op->name = b->name;
+   if (b == w->r->m->blocks) op->add = w->r->start;
+}
+/* the products of a block in `stage`, its attention in the next one. number: which of the wave's blocks it is; turn: the
+   buffer of z that it shares when they hold all nodes */
+static void dn__wave_gat(dn__wave *w, size_t stage, const dn__block *b, size_t number, size_t turn, dn__rows x, dn__rows y)
+{
+   const dn__plan *p = w->plan;
+   int whole = p->z_rows >= p->nodes;
+   size_t kf = b->gat.heads * b->gat.features, buffer = whole ? turn : number;
+   dn__op *products, *attend;
+   DN_ASSERT(buffer < p->z_buffers && dn__z_pitch(b) <= p->z);
+   products = dn__wave_add(w, DN__OP_PRODUCTS, stage, b, x, y, b->out, b->in * (dn__gat_stride(&b->gat) + b->gat.self));
+   attend = dn__wave_add(w, DN__OP_ATTEND, stage + 1, b, y, y, b->out, 48 * kf); /* about six neighbours */
+   products->z = attend->z = w->z + buffer * dn__round(p->z_rows * p->z, DN__ALIGN);
+   products->mask = attend->mask = whole ? SIZE_MAX : p->z_rows - 1;
+   attend->name = b->name;
+}
+/* A dense module (T 3.6) from `stage` on: x_0 stands in the wide row, x_b+1 = f_b(x_b) || x_b grows to the left of it.
+   Returns x_m, which is there in stage `stage` + count. */
+static dn__rows dn__wave_dense(dn__wave *w, size_t stage, const dn__block *b, size_t count, dn__rows x)
+{
+   size_t i;
+   for (i = 0; i < count; i++) {
+      dn__rows f = x;
+      f.at -= b[i].out * dn__cell(&b[i]);
+      dn__wave_gat(w, stage + i, &b[i], i, i % 2, x, f);
+      x = f;
+   }
+   return x;
+}
+/* post.0, post.1, out: half of a network's arithmetic, whose rows never leave the cache */
+static void dn__wave_tail(dn__wave *w, size_t stage, const dn__block *b, dn__rows x, float *y)
+{
+   dn__rows t0 = dn__wave_tile(w, b[0].out), t1 = dn__wave_tile(w, b[1].out);
+   dn__wave_linear(w, stage, &b[0], x, t0);
+   dn__wave_linear(w, stage, &b[1], t0, t1);
+   dn__wave_linear(w, stage, &b[2], t1, dn__rows_of(y, b[2].out * sizeof(float), SIZE_MAX));
+}
+
+/* items begin to end - 1 of this step: some rows of one unit each, of about equal cost */
+static void dn__wave_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__wave *w = (const dn__wave *)job;
+   size_t item, u = 0, i;
+   (void)worker;
+   for (item = begin; item < end; item++) {
+      size_t from, to;
+      while (u + 1 < w->units && w->unit[u + 1].item <= item) u++;
+      from = w->unit[u].begin + (item - w->unit[u].item) * w->unit[u].rows;
+      to = dn__min(w->unit[u].end, from + w->unit[u].rows);
+      for (i = 0; i < w->ops; i++)
+         if (w->op[i].stage == w->unit[u].stage) dn__op_rows(&w->op[i], w->g, from, to);
+   }
+}
+static void dn__wave_run(dn__wave *w)
+{
+   const dn__run *r = w->r;
+   size_t chunk = w->plan->chunk, lag = w->plan->lag, nodes = w->g->nodes, workers = dn__workers(r->par);
+   size_t chunks = (nodes + (chunk - 1)) / chunk, step, stage, u, i;
+   for (step = 0; chunks > 0 && step < chunks + (w->stages - 1) * lag; step++) {
+      size_t items = 0, total = 0, share;
+      w->units = 0;
+      for (stage = w->stages; stage-- > 0;) { /* the last ones cost the most: they begin */
+         dn__unit *unit = &w->unit[w->units];
+         if (step < stage * lag || step - stage * lag >= chunks) continue;
+         unit->stage = stage;
+         unit->begin = (step - stage * lag) * chunk;
+         unit->end = dn__min(nodes, unit->begin + chunk);
+         total += w->cost[stage] * (unit->end - unit->begin);
+         w->units++;
+      }
+      share = workers > 1 ? total / (8 * workers) : total;
+      for (u = 0; u < w->units; u++) {
+         dn__unit *unit = &w->unit[u];
+         size_t strips = share / (w->cost[unit->stage] * DN__STRIP + 1);
+         unit->rows = workers > 1 ? dn__min(dn__max(strips, 1) * DN__STRIP, chunk) : chunk;
+         unit->item = items;
+         items += (unit->end - unit->begin + (unit->rows - 1)) / unit->rows;
+      }
+      dn__for(r->par, items, 1, dn__wave_range, w);
+      for (i = 0; i < w->ops && r->probe; i++) /* on the thread that called, while the rows are there */
+         for (u = 0; u < w->units; u++)
+            if (w->op[i].name && w->unit[u].stage == w->op[i].stage)
+               dn__tap(r, w->op[i].name, (const float *)(const void *)dn__row(&w->op[i].y, w->unit[u].begin),
+                       w->unit[u].begin, w->unit[u].end - w->unit[u].begin, w->op[i].width,
+                       w->op[i].y.pitch / sizeof(float));
+   }
+}
+
+/* --- what a frame needs */
 static size_t dn__block_scratch(const dn__block *b, size_t count, size_t nodes)
 {
    size_t i, need = 0;
@@ -7542,67 +7878,100 @@ static void dn__clusters_layout(dn_clusters *c, size_t nodes, size_t neighbours,
    c->coarse_first = (uint32_t *)dn__take(a, dn__add(nodes, 1), sizeof(uint32_t));
    c->coarse_next = (uint32_t *)dn__take(a, neighbours, sizeof(uint32_t));
 }
-/* rest (branches): contractions found at bind, or NULL when there are none (dynamic pooling, and bind itself looking
-   for them). neighbours = 2E. */
-static void dn__pool_layout(dn__net *n, size_t branches, size_t nodes, size_t neighbours, const dn_clusters *rest,
-                            dn__arena *a)
+static size_t dn__tail_bytes(const dn__block *post) { return dn__mul(dn__add(post[0].out, post[1].out), sizeof(float)); }
+static size_t dn__widest_z(const dn__block *b, size_t count)
+{
+   size_t i, z = 0;
+   for (i = 0; i < count; i++) z = dn__max(z, dn__z_pitch(&b[i]));
+   return z;
+}
+static void dn__pool_layout(dn__net *n, size_t branches, const dn__extent *e, dn__arena *a)
 {
    size_t k;
    float *score;
-   n->coarse[0] = (float *)dn__take(a, dn__mul(nodes, n->coarse_width), sizeof(float));
-   n->coarse[1] = (float *)dn__take(a, dn__mul(nodes, n->coarse_width), sizeof(float));
-   for (k = 0; rest && k < branches; k++) n->clusters[k] = rest[k];
-   score = (float *)dn__take(a, nodes, sizeof(float));
-   if (!rest) {
-      n->scores = (float *)dn__take(a, neighbours, sizeof(float));
-      n->pool = dn__take(a, dn_pool_scratch(nodes, neighbours), 1);
-      dn__clusters_layout(&n->clusters[0], nodes, neighbours, a);
+   n->coarse = (float *)dn__take(a, dn__mul(e->coarse_nodes, n->coarse_width), sizeof(float));
+   for (k = 0; e->rest && k < branches; k++) n->clusters[k] = e->rest[k];
+   score = (float *)dn__take(a, e->nodes, sizeof(float));
+   if (!e->rest) {
+      n->scores = (float *)dn__take(a, e->neighbours, sizeof(float));
+      n->pool = dn__take(a, dn_pool_scratch(e->nodes, e->neighbours), 1);
+      dn__clusters_layout(&n->clusters[0], e->nodes, e->neighbours, a);
       n->clusters[1] = n->clusters[0];
    }
    n->clusters[0].score = n->clusters[1].score = score;
 }
-static void dn__net_layout(dn__net *n, const dn_model *m, size_t nodes, size_t neighbours, const dn_clusters *rest,
-                           unsigned workers, dn__arena *a)
+static void dn__work_layout(dn__net *n, size_t blocks, unsigned workers, dn__arena *a)
+{
+   size_t k, bytes = 0;
+   for (k = 0; k < sizeof n->plan / sizeof *n->plan; k++) {
+      if (n->plan[k].nodes) dn__plan_choose(&n->plan[k], workers);
+      bytes = dn__max(bytes, n->plan[k].bytes);
+   }
+   n->work = dn__take(a, bytes, 1);
+   n->op_room = dn__add(dn__mul(blocks, 2), 4); /* a copy or gather, scatter */
+   n->op = (dn__op *)dn__take(a, n->op_room, sizeof(dn__op));
+}
+/* What dn__run_local_global needs of a branch, over what others need. global: its three blocks, the tail behind them;
+   wide: bytes of a row that a ring must hold, 0 when the rows of all nodes do */
+static void dn__local_global_plan(dn__net *n, const dn__extent *e, const dn__block *global, size_t locals, size_t wide)
+{
+   dn__plan *p = &n->plan[DN__ON_NODES];
+   p->nodes = e->nodes;
+   p->bandwidth = e->bandwidth;
+   p->depth = dn__max(p->depth, dn__max(locals, 1));
+   p->blocks = dn__max(p->blocks, locals + 1);
+   p->turns = 3; /* two for the module, one for global.2 beside it */
+   p->wide = dn__max(p->wide, wide);
+   p->z = dn__max(p->z, dn__widest_z(global - locals, locals + 3));
+   p->tile = dn__max(p->tile, dn__add(dn__mul(global[1].out, dn__cell(global + 2)), dn__tail_bytes(global + 3)));
+   p = &n->plan[DN__ON_COARSE];
+   p->nodes = e->coarse_nodes;
+   p->bandwidth = e->coarse_bandwidth;
+   p->depth = 1;
+   p->blocks = p->turns = 2;
+   p->wide = dn__max(p->wide, dn__mul(global[0].out, dn__cell(global + 1)));
+   p->z = dn__max(p->z, dn__widest_z(global, 2));
+   p->tile = dn__max(p->tile, dn__mul(global[0].in, dn__cell(global)));
+   n->coarse_width = dn__max(n->coarse_width, global[1].out);
+}
+static void dn__net_layout(dn__net *n, const dn_model *m, const dn__extent *e, unsigned workers, dn__arena *a)
 {
    const dn__block *b = m->blocks;
    size_t last = m->block_count - 1, i;
+   dn__plan *p = n->plan;
    memset(n, 0, sizeof *n);
    if (m->info.arch == DN_DENSEGATS) { /* b: pre 0-1, dense 2-7, transition 8, dense 9-14, transition 15, dense 16-21 */
-      n->wide_width = dn__max(dn__max(b[7].in + b[7].out, b[14].in + b[14].out), b[21].in + b[21].out);
-      n->side_width = dn__max(dn__max(b[0].out, b[8].out), b[15].out);
-      n->tile_width = b[last - 1].in + b[last].in;
+      p->nodes = e->nodes;
+      p->bandwidth = e->bandwidth;
+      p->depth = 6;
+      p->blocks = 7;
+      p->turns = 2;
+      for (i = 7; i <= 21; i += 7) p->wide = dn__max(p->wide, dn__mul(dn__add(b[i].in, b[i].out), dn__cell(&b[i])));
+      p->z = dn__widest_z(b + 2, 20);
+      p->tile = dn__max(dn__mul(b[0].out, sizeof(float)), dn__tail_bytes(b + 22));
+      n->wide_width = dn__max(b[8].out, b[15].out);
    } else if (m->info.arch == DN_MULTIRESGNET) { /* b: pre 0-1, local 2-3, global 4-6, post 7-8, out 9 */
-      n->wide_width = b[7].in; /* local || global */
-      n->side_width = dn__max(b[0].out, b[5].out);
-      n->coarse_width = dn__max(b[1].out, dn__max(b[4].out, b[5].out));
-      n->tile_width = b[last - 1].in + b[last].in;
+      dn__local_global_plan(n, e, b + 4, 2, dn__mul(b[7].in, dn__cell(&b[6])));
+      n->wide_width = b[1].out;
+      p[DN__POINTWISE].nodes = e->nodes;
+      p[DN__POINTWISE].tile = dn__mul(b[0].out, sizeof(float));
    } else {
-      for (i = 0; i < last; i++) n->wide_width = dn__max(n->wide_width, b[i].out);
-      n->side_width = n->wide_width;
+      size_t widest = 0, all = 0;
+      for (i = 0; i < last; i++) widest = dn__max(widest, b[i].out), all = dn__add(all, b[i].out);
+      if (m->info.arch == DN_MLP) {
+         p[DN__POINTWISE].nodes = e->nodes;
+         p[DN__POINTWISE].tile = dn__mul(all, sizeof(float));
+      } else n->wide_width = n->side_width = widest;
    }
-   n->wide = (float *)dn__take(a, dn__mul(nodes, n->wide_width), sizeof(float));
-   n->side = (float *)dn__take(a, dn__mul(nodes, n->side_width), sizeof(float));
-   n->gat = dn__take(a, dn__block_scratch(b, m->block_count, nodes), 1);
-   n->tile = (float *)dn__take(a, dn__mul(dn__mul(workers, DN__TILE), n->tile_width), sizeof(float));
-   if (m->info.arch == DN_MULTIRESGNET) dn__pool_layout(n, 1, nodes, neighbours, rest, a);
+   n->wide = (float *)dn__take(a, dn__mul(e->nodes, n->wide_width), sizeof(float));
+   n->side = (float *)dn__take(a, dn__mul(e->nodes, n->side_width), sizeof(float));
+   if (m->info.arch == DN_GAT || m->info.arch == DN_NEUROSKINNING)
+      n->gat = dn__take(a, dn__block_scratch(b, m->block_count, e->nodes), 1);
+   dn__work_layout(n, m->block_count, workers, a);
+   if (m->info.arch == DN_MULTIRESGNET) dn__pool_layout(n, 1, e, a);
 }
 
-typedef struct dn__run { /* what every runner needs at hand */
-   const dn_model *m;
-   const dn__stage *stage;
-   const dn_graph *g;
-   const dn__net *n;
-   const float *start;   /* (N, width of the first block) what the bound columns add to it, or NULL */
-   const dn_parallel *par;
-   const dn_probe *probe;
-   dn_clusters *found;   /* (branches) or NULL. Bind's search: run up to the pools only, contractions go here */
-} dn__run;
-
-static void dn__tap(const dn__run *r, const char *name, const float *rows, size_t first, size_t count, size_t width,
-                    size_t stride)
-{
-   if (r->probe && r->probe->tap) r->probe->tap(r->probe->user, name, rows, first, count, width, stride);
-}
+/* --- how they run */
 static void dn__run_block(const dn__run *r, const dn__block *b, const dn_graph *g, const float *x, size_t x_stride,
                           float *y, size_t y_stride)
 {
@@ -7613,86 +7982,38 @@ static void dn__run_block(const dn__run *r, const dn__block *b, const dn_graph *
    } else dn_gat_run(&b->gat, g, x, x_stride, y, y_stride, r->n->gat, r->par);
    dn__tap(r, b->name, y, 0, g->nodes, b->out, y_stride);
 }
+static dn__rows dn__floats_of(const float *rows, size_t width) { return dn__rows_of(rows, width * sizeof(float), SIZE_MAX); }
 
-/* post.0, post.1, out on tiles of nodes: half of a network's arithmetic, whose rows never leave the cache */
-typedef struct dn__tail_job { const dn__run *r; const dn__block *b; const float *x; size_t x_stride; float *y; } dn__tail_job;
-static void dn__tail_range(void *job, size_t begin, size_t end, unsigned worker)
-{
-   const dn__tail_job *j = (const dn__tail_job *)job;
-   const dn__run *r = j->r;
-   const dn__block *b = j->b;
-   float *t0 = r->n->tile + worker * DN__TILE * r->n->tile_width, *t1 = t0 + DN__TILE * b[0].out;
-   DN_ASSERT(worker < dn__workers(r->par)); /* the caller's job system numbers them; scratch has no more tiles */
-   for (; begin < end; begin += DN__TILE) {
-      size_t n = dn__min(DN__TILE, end - begin);
-      float *y = j->y + begin * b[2].out;
-      dn_linear_run(&b[0].linear, j->x + begin * j->x_stride, j->x_stride, n, t0, b[0].out, NULL);
-      dn_linear_run(&b[1].linear, t0, b[0].out, n, t1, b[1].out, NULL);
-      dn_linear_run(&b[2].linear, t1, b[1].out, n, y, b[2].out, NULL);
-      dn__tap(r, b[0].name, t0, begin, n, b[0].out, b[0].out);
-      dn__tap(r, b[1].name, t1, begin, n, b[1].out, b[1].out);
-      dn__tap(r, b[2].name, y, begin, n, b[2].out, b[2].out);
-   }
-}
-/* b: the three blocks; y (N, the last one's width) */
-static void dn__run_tail(const dn__run *r, const dn__block *b, const float *x, size_t x_stride, float *y)
-{
-   dn__tail_job j;
-   j.r = r;
-   j.b = b;
-   j.x = x;
-   j.x_stride = x_stride;
-   j.y = y;
-   dn__for(r->probe ? NULL : r->par, r->g->nodes, DN__TILE, dn__tail_range, &j);
-}
-
-/* `count` GAT blocks as a dense module in the first `width` columns of rows (T 3.6); taps each block's columns */
-static void dn__run_dense(const dn__run *r, size_t first_block, const dn_gat *blocks, size_t count, float *rows,
-                          size_t stride, size_t width)
-{
-   size_t i, at = width - blocks[0].in;
-   dn_dense_run(blocks, count, r->g, rows, stride, width, r->n->gat, r->par);
-   for (i = 0; i < count; i++) {
-      const dn__block *b = &r->m->blocks[first_block + i];
-      at -= b->out;
-      dn__tap(r, b->name, rows + at, 0, r->g->nodes, b->out, stride);
-   }
-}
-typedef struct dn__copy_job { const float *x; float *y; size_t x_stride, y_stride, width; } dn__copy_job;
-static void dn__copy_range(void *job, size_t begin, size_t end, unsigned worker)
-{
-   const dn__copy_job *j = (const dn__copy_job *)job;
-   size_t i;
-   (void)worker;
-   for (i = begin; i < end; i++) memcpy(j->y + i * j->y_stride, j->x + i * j->x_stride, j->width * sizeof(float));
-}
-
-/* DenseGATs (T 3.2): 32 -> 464 -> 72 -> 504 -> 72 -> 504 -> 512 -> 128 -> 3 at the paper's size */
+/* DenseGATs (T 3.2): 32 -> 464 -> 72 -> 504 -> 72 -> 504 -> 512 -> 128 -> 3 at the paper's size. A wave for each module,
+   with what comes before or after it: n->wide has x_0 of the module that runs, and behind it what the transition makes,
+   x_0 of the next. */
 static void dn__run_densegats(const dn__run *r, const float *rows, float *y)
 {
    const dn__net *n = r->n;
    const dn__block *b = r->m->blocks;
-   size_t k, width = 0, stride = n->wide_width;
-   dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), n->side, b[0].out);
+   size_t k;
    for (k = 0; k < 3; k++) {
-      const dn__block *into = &b[1 + 7 * k]; /* pre.1, transition.0, transition.1: what a dense module starts from */
-      width = b[7 + 7 * k].in + b[7 + 7 * k].out;
-      if (k == 0) dn__run_block(r, into, r->g, n->side, b[0].out, n->wide + width - into->out, stride);
-      else { /* a block may not write over its own input: through the side rows */
-         dn__copy_job c;
-         dn__run_block(r, into, r->g, n->wide, stride, n->side, into->out);
-         c.x = n->side, c.x_stride = into->out, c.y = n->wide + width - into->out, c.y_stride = stride,
-            c.width = into->out;
-         dn__for(r->par, r->g->nodes, DN__TILE, dn__copy_range, &c);
-      }
-      dn__run_dense(r, 2 + 7 * k, r->m->dense + 6 * k, 6, n->wide, stride, width);
+      const dn__block *into = &b[1 + 7 * k], *module = into + 1; /* into: pre.1, transition.0, transition.1 */
+      size_t cell = dn__cell(module), at = module[5].in + module[5].out - into->out;
+      dn__rows x, x0 = dn__floats_of(n->wide, n->wide_width);
+      dn__wave w;
+      dn__wave_open(&w, r, r->g, DN__ON_NODES);
+      x = dn__column(w.wide, at * cell);
+      if (k == 0) {
+         dn__rows t = dn__wave_tile(&w, b[0].out);
+         dn__wave_linear(&w, 0, &b[0], dn__floats_of(rows, dn__live_width(r->stage)), t);
+         dn__wave_linear(&w, 0, &b[1], t, x);
+      } else dn__wave_add(&w, DN__OP_COPY, 0, NULL, x0, x, into->out, into->out);
+      x = dn__wave_dense(&w, 0, module, 6, x);
+      if (k < 2) dn__wave_gat(&w, 6, module + 6, 6, 0, x, x0);
+      else dn__wave_tail(&w, 6, b + 22, x, y);
+      dn__wave_run(&w);
    }
-   dn__run_tail(r, b + 22, n->wide, stride, y);
 }
 
-/* A branch's pool on x (N,width): the contraction, and its coarse rows in n->coarse[0]. Dynamic pooling sets count and
-   graph in the copy c; the arrays are scratch. Returns 0 when this is bind's search, which ends here. */
-static int dn__run_pool(const dn__run *r, size_t which, const float *x, size_t stride, size_t width, dn_clusters *c)
+/* A branch's pool on x (N,width). Dynamic pooling sets count and graph in the copy c; the arrays are scratch. Returns 0
+   when this is bind's search, which ends here. */
+static int dn__run_pool(const dn__run *r, size_t which, const float *x, size_t stride, dn_clusters *c)
 {
    const dn__net *n = r->n;
    const dn__branch *q = &r->m->branch[which];
@@ -7702,47 +8023,96 @@ static int dn__run_pool(const dn__run *r, size_t which, const float *x, size_t s
       dn_pool_contract(r->g, n->scores, c, n->pool);
    } else dn_pool_rescore(&q->pool, r->g, x, stride, c, r->par);
    if (r->found) return r->found[which] = *c, 0;
-   dn_pool_gather(&q->pool, c, x, stride, width, n->coarse[0], width, r->par);
-   dn__tap(r, q->pool_name, n->coarse[0], 0, c->count, width, width);
    if (r->probe && r->probe->pool) r->probe->pool(r->probe->user, q->pool_name, c->members, c->score, c->count);
    return 1;
 }
-/* n->coarse[0] (M,width) back to the nodes: y (N,width) */
-static void dn__run_unpool(const dn__run *r, size_t which, const dn_clusters *c, size_t width, float *y,
-                           size_t stride)
+/* Around a pool: gather, global.0, global.1 on the coarse graph -> n->coarse (M, global[1].out) */
+static void dn__run_coarse(const dn__run *r, const dn__branch *q, const dn_clusters *c, const dn__block *global, dn__rows x)
 {
-   const dn__branch *q = &r->m->branch[which];
-   dn_pool_scatter(&q->pool, c, r->n->coarse[0], width, width, r->g->nodes, y, stride, r->par);
-   dn__tap(r, q->unpool_name, y, 0, r->g->nodes, width, stride);
+   dn__wave w;
+   dn__op *gather;
+   dn__rows pooled;
+   dn__wave_open(&w, r, &c->graph, DN__ON_COARSE);
+   pooled = dn__wave_tile(&w, global[0].in);
+   gather = dn__wave_add(&w, DN__OP_GATHER, 0, NULL, x, pooled, global[0].in, 2 * global[0].in);
+   gather->pool = &q->pool;
+   gather->clusters = c;
+   gather->name = q->pool_name;
+   dn__wave_gat(&w, 0, &global[0], 0, 0, pooled, w.wide);
+   dn__wave_gat(&w, 1, &global[1], 1, 1, w.wide, dn__floats_of(r->n->coarse, global[1].out));
+   dn__wave_run(&w);
 }
-/* Local and global side by side (T 3.3, 3.13), then the tail. x stands in the wide row at column `at`, and the branch
-   writes around it: [ .. local.1 | local.0 | x || global.2 .. ] */
-static void dn__run_local_global(const dn__run *r, size_t which, size_t at, float *y)
+/* Local and global side by side (T 3.3, 3.13), then the tail. x (N, its width) is what both read. The wide row:
+
+        | local.1 | local.0 | x || global.2 |
+
+   It is x's own when x stands in such a row already (beside != 0), else a ring's. The clothing network has no local part:
+   its tail reads the last block alone. */
+static void dn__run_local_global(const dn__run *r, size_t which, const dn__block *local, size_t locals, dn__rows x,
+                                 int beside, float *y)
 {
-   const dn__net *n = r->n;
    const dn__branch *q = &r->m->branch[which];
-   const dn__block *local = &r->m->blocks[q->first], *global = local + q->locals;
-   size_t stride = n->wide_width, width = local->in, made = global[-1].in + global[-1].out - width;
-   float *x = n->wide + at;
+   const dn__block *global = local + locals;
+   size_t cell = dn__cell(global + 2), width = global[0].in, stage = locals ? locals - 1 : 0;
    dn_clusters c;
-   if (!dn__run_pool(r, which, x, stride, width, &c)) return;
-   dn__run_dense(r, q->first, q->dense, q->locals, x - made, stride, made + width);
-   dn__run_block(r, &global[0], &c.graph, n->coarse[0], width, n->coarse[1], global[0].out);
-   dn__run_block(r, &global[1], &c.graph, n->coarse[1], global[0].out, n->coarse[0], global[1].out);
-   dn__run_unpool(r, which, &c, global[1].out, n->side, global[1].out);
-   dn__run_block(r, &global[2], r->g, n->side, global[1].out, x + width, stride); /* T 3.13 */
-   dn__run_tail(r, global + 3, x - made, stride, y);
+   dn__wave w;
+   dn__rows unpooled, g2;
+   dn__op *scatter;
+   if (!dn__run_pool(r, which, (const float *)(const void *)x.at, x.pitch / sizeof(float), &c)) return;
+   dn__run_coarse(r, q, &c, global, x);
+   dn__wave_open(&w, r, r->g, DN__ON_NODES);
+   g2 = w.wide;
+   if (locals) {
+      if (!beside) {
+         dn__rows x0 = dn__column(w.wide, (global[-1].in + global[-1].out - width) * cell);
+         dn__wave_add(&w, DN__OP_COPY, 0, NULL, x, x0, width, width);
+         x = x0;
+      }
+      dn__wave_dense(&w, 0, local, locals, x);
+      g2 = dn__column(x, width * cell);
+   }
+   unpooled = dn__wave_tile(&w, global[1].out);
+   scatter = dn__wave_add(&w, DN__OP_SCATTER, stage, NULL, dn__floats_of(r->n->coarse, global[1].out), unpooled,
+                          global[1].out, 2 * global[1].out);
+   scatter->pool = &q->pool;
+   scatter->clusters = &c;
+   scatter->name = q->unpool_name;
+   dn__wave_gat(&w, stage, &global[2], locals, dn__min(locals, 2), unpooled, g2);                       /* T 3.13 */
+   g2.at += global[2].out * cell; /* the tail's rows end there */
+   g2.at -= global[3].in * cell;
+   dn__wave_tail(&w, stage + 1, global + 3, g2, y);
+   dn__wave_run(&w);
 }
-/* MultiResGNet (T 3.3): pre.1 is written where the dense module expects its x_0 */
+/* MultiResGNet (T 3.3) */
 static void dn__run_multiresgnet(const dn__run *r, const float *rows, float *y)
 {
    const dn__block *b = r->m->blocks;
-   size_t at = r->n->wide_width - b[6].out - b[1].out;
-   dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), r->n->side, b[0].out);
-   dn__run_block(r, &b[1], r->g, r->n->side, b[0].out, r->n->wide + at, r->n->wide_width);
-   dn__run_local_global(r, 0, at, y);
+   dn__rows x = dn__floats_of(r->n->wide, r->n->wide_width), t;
+   dn__wave w;
+   dn__wave_open(&w, r, r->g, DN__POINTWISE);
+   t = dn__wave_tile(&w, b[0].out);
+   dn__wave_linear(&w, 0, &b[0], dn__floats_of(rows, dn__live_width(r->stage)), t);
+   dn__wave_linear(&w, 0, &b[1], t, x);
+   dn__wave_run(&w);
+   dn__run_local_global(r, 0, b + 2, 2, x, 0, y);
 }
-/* mlp, gat, neuroskinning: one block after the other */
+/* mlp: node by node */
+static void dn__run_mlp(const dn__run *r, const float *rows, float *y)
+{
+   const dn__block *b = r->m->blocks;
+   dn__rows x = dn__floats_of(rows, dn__live_width(r->stage));
+   size_t i, last = r->m->block_count - 1;
+   dn__wave w;
+   dn__wave_open(&w, r, r->g, DN__POINTWISE);
+   for (i = 0; i < last; i++) {
+      dn__rows out = dn__wave_tile(&w, b[i].out);
+      dn__wave_linear(&w, 0, &b[i], x, out);
+      x = out;
+   }
+   dn__wave_linear(&w, 0, &b[last], x, dn__floats_of(y, 3));
+   dn__wave_run(&w);
+}
+/* gat, neuroskinning: one block after the other */
 static void dn__run_chain(const dn__run *r, const float *rows, float *y)
 {
    const dn__block *b = r->m->blocks;
@@ -7760,6 +8130,7 @@ static void dn__run_network(const dn__run *r, const float *rows, float *y)
 {
    if (r->m->info.arch == DN_DENSEGATS) dn__run_densegats(r, rows, y);
    else if (r->m->info.arch == DN_MULTIRESGNET) dn__run_multiresgnet(r, rows, y);
+   else if (r->m->info.arch == DN_MLP) dn__run_mlp(r, rows, y);
    else dn__run_chain(r, rows, y);
 }
 
@@ -7870,30 +8241,28 @@ enum { DN__CLOTH_DETAIL = 13 /* clothnet's blocks: 0 coarse.gat, 1-6 and 7-12 it
 static size_t dn__stage_of(const dn__run *r) { return (size_t)(r->stage - r->m->stage); }
 /* Rows of a whole number of pages would all start in one set of the cache: the next 16 floats set them apart. */
 static size_t dn__pitch(size_t width) { return width != 0 && width % 512 == 0 ? dn__add(width, 16) : width; }
-static size_t dn__tail_width(const dn__block *post) { return dn__add(post[0].out, post[1].out); }
 
-/* s: the model's stage; workers, rest and neighbours as dn__net_layout */
-static void dn__garment_net_layout(dn__net *n, const dn_model *m, size_t s, size_t nodes, size_t neighbours,
-                                   const dn_clusters *rest, unsigned workers, dn__arena *a)
+/* s: the model's stage */
+static void dn__garment_net_layout(dn__net *n, const dn_model *m, size_t s, const dn__extent *e, unsigned workers,
+                                   dn__arena *a)
 {
    const dn__block *b = m->blocks, *parser = NULL;
-   size_t k, count = m->block_count, pooled = 0;
+   size_t k, plain = m->block_count, pooled = 0, scratch; /* plain: blocks that run one by one */
+   dn__plan *tail = &n->plan[DN__POINTWISE];
    memset(n, 0, sizeof *n);
    if (m->info.arch == DN_GARFIT_COARSE) {
       n->wide_width = dn__max(b[0].out, b[2].out);
       n->side_width = dn__max(b[1].out, b[3].out);
    } else if (m->info.arch == DN_GARFITNET) {
       size_t before = 0, after = 0, x = b[1].in + b[1].out;
+      plain = 2;
       parser = b + 2;
       pooled = 2;
-      n->coarse_width = x; /* what the pools gather */
       for (k = 0; k < 2; k++) {
          const dn__block *global = b + m->branch[k].first + m->branch[k].locals;
          before = dn__max(before, global[-1].in + global[-1].out - x);
          after = dn__max(after, global[2].out);
-         n->side_width = dn__max(n->side_width, global[1].out);
-         n->coarse_width = dn__max(n->coarse_width, dn__max(global[0].out, global[1].out));
-         n->tile_width = dn__max(n->tile_width, dn__tail_width(global + 3));
+         dn__local_global_plan(n, e, global, m->branch[k].locals, 0);
       }
       n->wide_width = before + x + after;
    } else if (s == 0) {
@@ -7902,36 +8271,38 @@ static void dn__garment_net_layout(dn__net *n, const dn_model *m, size_t s, size
          const dn__block *q = b + 1 + 6 * k;
          beside = dn__max(beside, dn__max(q[0].out, q[2].out));
          n->side_width = dn__max(n->side_width, q[1].out);
-         n->tile_width = dn__max(n->tile_width, dn__tail_width(q + 3));
+         tail->tile = dn__max(tail->tile, dn__tail_bytes(q + 3));
       }
+      tail->nodes = e->nodes;
       n->wide_width = b[0].out + beside;
-      count = DN__CLOTH_DETAIL;
+      plain = DN__CLOTH_DETAIL;
    } else {
       b += DN__CLOTH_DETAIL;
-      count -= DN__CLOTH_DETAIL;
+      plain = 1;
       parser = b + 1;
       pooled = 2;
       n->wide_width = b[0].out;
       for (k = 0; k < 2; k++) {
          const dn__block *q = b + 4 + 7 * k;
-         n->side_width = dn__max(n->side_width, dn__max(q[0].out, q[2].out + q[3].out));
-         n->coarse_width = dn__max(n->coarse_width, dn__max(q[0].out, dn__max(q[1].out, q[2].out)));
-         n->tile_width = dn__max(n->tile_width, dn__tail_width(q + 4));
+         n->side_width = dn__max(n->side_width, q[0].out);
+         dn__local_global_plan(n, e, q + 1, 0, dn__mul(q[3].out, dn__cell(q + 3)));
       }
    }
    n->wide_width = dn__pitch(n->wide_width);
    n->side_width = dn__pitch(n->side_width);
-   n->wide = (float *)dn__take(a, dn__mul(nodes, n->wide_width), sizeof(float));
-   n->side = (float *)dn__take(a, dn__mul(nodes, n->side_width), sizeof(float));
-   n->gat = dn__take(a, dn__block_scratch(b, count, nodes), 1);
-   n->tile = (float *)dn__take(a, dn__mul(dn__mul(workers, DN__TILE), n->tile_width), sizeof(float));
-   n->length = (float *)dn__take(a, nodes, sizeof(float));
+   n->wide = (float *)dn__take(a, dn__mul(e->nodes, n->wide_width), sizeof(float));
+   n->side = (float *)dn__take(a, dn__mul(e->nodes, n->side_width), sizeof(float));
+   scratch = dn__block_scratch(b, plain, e->nodes);
+   for (k = 0; pooled && k < 2 && s == 1; k++) scratch = dn__max(scratch, dn__block_scratch(b + 4 + 7 * k, 1, e->nodes));
+   n->gat = dn__take(a, scratch, 1);
+   dn__work_layout(n, m->block_count, workers, a);
+   n->length = (float *)dn__take(a, e->nodes, sizeof(float));
    if (parser) {
       n->shape = (float *)dn__take(a, m->info.parser, sizeof(float));
       n->code[0] = (float *)dn__take(a, dn__max(parser[0].out, parser[2].out), sizeof(float));
       n->code[1] = (float *)dn__take(a, parser[1].out, sizeof(float));
    }
-   if (pooled) dn__pool_layout(n, pooled, nodes, neighbours, rest, a);
+   if (pooled) dn__pool_layout(n, pooled, e, a);
 }
 
 /* --- how they run */
@@ -7979,6 +8350,14 @@ static void dn__run_decompose(const dn__run *r, float *y)
    j.length = r->n->length;
    dn__for(r->par, r->g->nodes, 1024, dn__decompose_range, &j);
 }
+/* post.0, post.1, out alone */
+static void dn__run_tail(const dn__run *r, const dn__block *b, const float *x, size_t x_stride, float *y)
+{
+   dn__wave w;
+   dn__wave_open(&w, r, r->g, DN__POINTWISE);
+   dn__wave_tail(&w, 0, b, dn__floats_of(x, x_stride), y);
+   dn__wave_run(&w);
+}
 static void dn__run_garfit_coarse(const dn__run *r, const float *rows, float *y)
 {
    const dn__net *n = r->n;
@@ -8003,8 +8382,9 @@ static void dn__run_garfitnet(const dn__run *r, const float *rows, float *y)
    dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), n->wide + at + b[1].out, stride);
    dn__run_block(r, &b[1], r->g, n->wide + at + b[1].out, stride, n->wide + at, stride);
    dn__run_hadamard(r, b + 2, n->wide + at, stride);
-   dn__run_local_global(r, 0, at, y);
-   dn__run_local_global(r, 1, at, n->length);
+   for (k = 0; k < 2; k++)
+      dn__run_local_global(r, k, r->m->blocks + r->m->branch[k].first, r->m->branch[k].locals,
+                           dn__floats_of(n->wide + at, stride), 1, k == 0 ? y : n->length);
 }
 /* The clothing network's coarse stage (C 4). The wide row: [ coarse.gat | gat.0, later gat.2 ]; gat.1 is in side */
 static void dn__run_cloth_coarse(const dn__run *r, const float *rows, float *y)
@@ -8022,24 +8402,18 @@ static void dn__run_cloth_coarse(const dn__run *r, const float *rows, float *y)
       dn__run_tail(r, q + 3, beside, stride, k == 0 ? y : n->length);
    }
 }
-/* and its detail stage: side holds gat.0, later [ unpooled gat.2 | gat.3 ] */
+/* and its detail stage: side holds gat.0 */
 static void dn__run_cloth_detail(const dn__run *r, const float *rows, float *y)
 {
    const dn__net *n = r->n;
    const dn__block *b = r->m->blocks + DN__CLOTH_DETAIL;
-   size_t k, stride = n->side_width;
+   size_t k;
    dn__run_block(r, &b[0], r->g, rows, dn__live_width(r->stage), n->wide, n->wide_width);
    dn__run_hadamard(r, b + 1, n->wide, n->wide_width);
    for (k = 0; k < 2; k++) {
       const dn__block *q = b + 4 + 7 * k;
-      dn_clusters c;
-      dn__run_block(r, &q[0], r->g, n->wide, n->wide_width, n->side, stride);
-      if (!dn__run_pool(r, k, n->side, stride, q[0].out, &c)) continue;
-      dn__run_block(r, &q[1], &c.graph, n->coarse[0], q[0].out, n->coarse[1], q[1].out);
-      dn__run_block(r, &q[2], &c.graph, n->coarse[1], q[1].out, n->coarse[0], q[2].out);
-      dn__run_unpool(r, k, &c, q[2].out, n->side, stride);
-      dn__run_block(r, &q[3], r->g, n->side, stride, n->side + q[2].out, stride);
-      dn__run_tail(r, q + 4, n->side + q[2].out, stride, k == 0 ? y : n->length);
+      dn__run_block(r, &q[0], r->g, n->wide, n->wide_width, n->side, n->side_width);
+      dn__run_local_global(r, k, q + 1, 0, dn__floats_of(n->side, n->side_width), 0, k == 0 ? y : n->length);
    }
 }
 static void dn__run_garment(const dn__run *r, const float *rows, float *y)
@@ -8075,6 +8449,7 @@ struct dn_rig {
    const float *start;            /* (N, width of the first block): dn_model.bound of each node, or NULL */
    int has_clusters;              /* rest pooling */
    dn_clusters clusters;
+   size_t coarse_bandwidth;       /* of their graph */
 };
 
 typedef struct dn__bind { /* bind's scratch: the mesh in the library's own form */
@@ -8232,8 +8607,8 @@ static dn_result dn__bind_open(dn__bind *b, const dn_model *model, const dn_rig_
 static unsigned dn__resolution(const dn_rig_desc *d) { return d->resolution ? d->resolution : 128; }
 
 /* --- layouts: one for scratch (from the counts and the bounding box), one for the rig (bounds, or exact once welded) */
-static size_t dn__frame_bytes(const dn_model *m, size_t vertices, size_t nodes, size_t neighbours, size_t joints,
-                              const dn_clusters *rest, int dual, unsigned workers);
+static size_t dn__frame_bytes(const dn_model *m, size_t vertices, const dn__extent *e, size_t joints, int dual,
+                              unsigned workers);
 /* dn_geodesic_scratch before there are nodes: what it needs depends on the bounding box only. Welding over a distance
    moves each face of the box in by at most that much; where the longest side shrinks, the cells do, and the other sides
    take more of them. */
@@ -8288,10 +8663,12 @@ static void dn__bind_memory(dn__bind *b, dn__arena *a)
       work = dn__max(work, dn__geodesic_scratch_box(box, V, b->desc->weld_distance, dn__resolution(b->desc),
                                                     workers));
    }
-   if (b->wants_clusters) /* the network up to its pool, on the rest pose */
+   if (b->wants_clusters) { /* the network up to its pool, on the rest pose; any bandwidth needs no more than this one */
+      dn__extent most = dn__extent_of(V, neighbours, SIZE_MAX);
       work = dn__max(work, dn__add(dn__mul(b->joints, 12 * sizeof(float) + DN__ALIGN),
-                                   dn__frame_bytes(b->model, V, V, neighbours, b->joints, NULL,
-                                                   b->desc->skinning == DN_DQS, workers)));
+                                   dn__frame_bytes(b->model, V, &most, b->joints, b->desc->skinning == DN_DQS,
+                                                   workers)));
+   }
    b->work_bytes = work;
    b->work = dn__take(a, work, 1);
 }
@@ -8745,10 +9122,10 @@ typedef struct dn__frame {    /* the scratch, carved the same way by every stage
    dn__net net;
 } dn__frame;
 
-static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, size_t nodes, size_t neighbours,
-                             size_t joints, const dn_clusters *rest, int dual, unsigned workers, dn__arena *a)
+static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, const dn__extent *e, size_t joints, int dual,
+                             unsigned workers, dn__arena *a)
 {
-   size_t width = m ? dn__live_width(&m->stage[0]) : 0;
+   size_t nodes = e->nodes, width = m ? dn__live_width(&m->stage[0]) : 0;
    memset(f, 0, sizeof *f);
    f->palette = (float *)dn__take(a, dn__mul(joints, 12), sizeof(float));
    f->wide = dual ? NULL : (float *)dn__take(a, dn__mul(joints, 16), sizeof(float));
@@ -8764,29 +9141,37 @@ static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, s
    f->displacement = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
    f->state = (uint32_t *)dn__take(a, 3, sizeof(uint32_t));
    f->rows = (float *)dn__take(a, dn__mul(nodes, width), sizeof(float));
-   if (m) dn__net_layout(&f->net, m, nodes, neighbours, rest, workers, a);
+   if (m) dn__net_layout(&f->net, m, e, workers, a);
 }
-static size_t dn__frame_bytes(const dn_model *m, size_t vertices, size_t nodes, size_t neighbours, size_t joints,
-                              const dn_clusters *rest, int dual, unsigned workers)
+static size_t dn__frame_bytes(const dn_model *m, size_t vertices, const dn__extent *e, size_t joints, int dual,
+                              unsigned workers)
 {
    dn__arena a = dn__arena_of(NULL, 0);
    dn__frame f;
-   dn__frame_layout(&f, m, vertices, nodes, neighbours, joints, rest, dual, workers, &a);
+   dn__frame_layout(&f, m, vertices, e, joints, dual, workers, &a);
    return a.used;
+}
+static dn__extent dn__rig_extent(const dn_rig *r)
+{
+   dn__extent e = dn__extent_of(r->view.nodes, r->view.graph.first[r->view.nodes], r->bandwidth);
+   if (!r->has_clusters) return e;
+   e.rest = &r->clusters;
+   e.coarse_nodes = r->clusters.count;
+   e.coarse_bandwidth = r->coarse_bandwidth;
+   return e;
 }
 static dn__frame dn__frame_of(const dn_rig *r, void *scratch, unsigned workers)
 {
    dn__arena a = dn__arena_of(scratch, SIZE_MAX / 2);
+   dn__extent e = dn__rig_extent(r);
    dn__frame f;
-   dn__frame_layout(&f, r->model, r->view.vertices, r->view.nodes, r->view.graph.first[r->view.nodes], r->view.joints,
-                    r->has_clusters ? &r->clusters : NULL, r->skinning == DN_DQS, workers, &a);
+   dn__frame_layout(&f, r->model, r->view.vertices, &e, r->view.joints, r->skinning == DN_DQS, workers, &a);
    return f;
 }
 DN_API size_t dn_scratch_size(const dn_rig *r, unsigned workers)
 {
-   return dn__frame_bytes(r->model, r->view.vertices, r->view.nodes, r->view.graph.first[r->view.nodes],
-                          r->view.joints, r->has_clusters ? &r->clusters : NULL, r->skinning == DN_DQS,
-                          workers ? workers : 1);
+   dn__extent e = dn__rig_extent(r);
+   return dn__frame_bytes(r->model, r->view.vertices, &e, r->view.joints, r->skinning == DN_DQS, workers ? workers : 1);
 }
 DN_API void *dn_scratch_create(const dn_rig *r, unsigned workers, const dn_allocator *allocator, size_t *bytes,
                                dn_error *err)
@@ -9136,6 +9521,7 @@ static dn_result dn__bind_clusters(dn__bind *b, dn_rig *r)
    run.probe = NULL;
    run.found = &r->clusters;
    dn__run_network(&run, f.rows, NULL);
+   r->coarse_bandwidth = dn__graph_bandwidth(&r->clusters.graph);
    r->has_clusters = 1;
    return DN_OK;
 }
@@ -11317,6 +11703,7 @@ struct dn_garment {
    dn_allocator allocator;
    const dn_allocator *allocator_used; /* NULL: DN_MALLOC, or &allocator */
    int owned;
+   size_t bandwidth;                   /* the largest |i - j| over the edges of the graph */
    int wants_clusters, has_clusters;   /* "rest" pooling */
    int spread;                         /* vertices of a node rest apart: see dn__garment_vertex */
    int has_coarse_rest;
@@ -11360,11 +11747,12 @@ static int dn__stage_reads(const dn__stage *s, dn_feature feature)
 static const dn__stage *dn__garment_stage(const dn_model *m, size_t k) { return &m->stage[m->info.arch == DN_CLOTHNET ? k : 0]; }
 static int dn__reads_body_normals(const dn_model *coarse) { return coarse && dn__stage_reads(dn__garment_stage(coarse, 0), DN_NORMAL); }
 
-typedef struct dn__wear_sizes { size_t nodes, neighbours, body_nodes, joints; } dn__wear_sizes;
+typedef struct dn__wear_sizes { size_t nodes, neighbours, bandwidth, body_nodes, joints; } dn__wear_sizes;
 static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const dn__wear_sizes *s,
                             const dn_clusters *rest, unsigned workers, dn__arena *a)
 {
    size_t k, N3 = dn__mul(s->nodes, 3), B3, joints = 0, width = 0, from, most;
+   dn__extent e;
    memset(f, 0, sizeof *f);
    for (k = 0; k < 2; k++)
       if (model[k]) {
@@ -11389,15 +11777,16 @@ static void dn__wear_layout(dn__wear *f, const dn_model *const model[2], const d
    f->state = (uint32_t *)dn__take(a, 1, sizeof(uint32_t));
    f->rows = (float *)dn__take(a, dn__mul(s->nodes, width), sizeof(float));
    B3 = dn__mul(dn__reads_body_normals(model[0]) ? s->body_nodes : 0, 3);
+   e = dn__extent_of(s->nodes, s->neighbours, s->bandwidth); /* of no contraction: dn_garment_change finds others */
    from = most = a->used;
    f->body = (double *)dn__take(a, dn__add(B3, 1), sizeof(double));
    f->body_normals = (float *)dn__take(a, B3, sizeof(float));
    most = a->used;
    for (k = 0; k < 2; k++) { /* the posed body is not needed once the rows are written, a stage not once the next begins */
       a->used = from;
+      e.rest = k == 1 ? rest : NULL;
       if (model[k])
-         dn__garment_net_layout(&f->net[k], model[k], model[k]->info.arch == DN_CLOTHNET ? k : 0, s->nodes,
-                                s->neighbours, k == 1 ? rest : NULL, workers, a);
+         dn__garment_net_layout(&f->net[k], model[k], model[k]->info.arch == DN_CLOTHNET ? k : 0, &e, workers, a);
       most = dn__max(most, a->used);
    }
    a->used = most;
@@ -11407,6 +11796,7 @@ static dn__wear_sizes dn__wear_sizes_of(const dn_garment *g)
    dn__wear_sizes s;
    s.nodes = g->view.nodes;
    s.neighbours = g->view.graph.first[g->view.nodes];
+   s.bandwidth = g->bandwidth;
    s.body_nodes = g->view.body_nodes;
    s.joints = g->view.joints;
    return s;
@@ -11941,6 +12331,7 @@ static void dn__tailor_memory(dn__tailor *t, dn__arena *a)
    dn__bind_memory(&t->garment, a);
    s.nodes = t->garment.vertices;
    s.neighbours = dn__mul(t->garment.triangles, 6);
+   s.bandwidth = SIZE_MAX; /* any other needs no more */
    s.body_nodes = t->body.vertices;
    s.joints = t->body.joints;
    t->work_bytes = dn__renew_bytes(t->model, &s, dn__tailor_wants_clusters(t), dn__workers(t->desc->parallel));
@@ -12139,6 +12530,7 @@ static dn_result dn__garment_finish(dn__tailor *t, dn_garment *g)
    g->model[0] = t->model[0];
    g->model[1] = t->model[1];
    g->wants_clusters = dn__tailor_wants_clusters(t);
+   g->bandwidth = t->garment.bandwidth;
    dn__garment_copy(t, g);
    for (k = 0; k < 2; k++)
       if ((r = dn__garment_joints(t, g, k)) != DN_OK) return r;
