@@ -429,18 +429,20 @@ DN_API const float *dn_scratch_coarse(const dn_rig *rig, const void *scratch);  
 DN_API const float *dn_scratch_displacement(const dn_rig *rig, const void *scratch); /* (N,3) posed, model space */
 
 /* ===================================================================================== >>budget
-   The network in fewer frames, or on fewer nodes, for characters that are far away, many, or on a slow machine. What a
-   network run finds is taken to rest space, where it changes slowly, kept in the caller's memory, and every frame carries
-   it by each node's own matrix: no frame shows an old pose, only a correction of a moment ago.
+   The network in fewer frames, or on fewer nodes, for characters that are many or far away, or a slow machine. What a run
+   of it finds is taken to rest space, where it changes slowly, kept in the caller's memory, and carried in every frame by
+   each node's own rotation: no frame shows an old pose, only a correction of a moment ago. README (Cost) has what it loses.
 
-   flow       dn_evaluate(pose) -> correction (N,3)           now and then, on any thread, with a full scratch
-              (coarse graph: dn_evaluate on its rig -> dn_spread -> correction (N,3))
-              dn_track_put(correction), then each frame dn_track_advance -> dn_carry(pose) -> dn_output, with a small scratch
+   flow       now and then, on any thread, with a full scratch:
+                 dn_evaluate(rig, pose) -> correction (N,3), or
+                 dn_evaluate(coarse rig, pose) -> (M,3) -> dn_spread -> correction (N,3)
+              every frame, with a small scratch:
+                 dn_track_put(correction) when there is a new one, dn_track_advance, dn_carry(pose) -> dn_output
    stagger    character c is due in frame f when (f + c) % k == 0: a k-th of the characters in every frame
-   job thread copy the palette, let the job call dn_evaluate with its own scratch and correction buffer, and put the
-              correction on the frame's thread once the job is done: nothing else is shared, nothing needs a lock. A job of
-              m frames adds m frames of lag; a job system without background jobs calls the dn_stage_* one by one over
-              several frames in place of dn_evaluate, dn_stage_keep last
+   jobs       a job copies the palette, calls dn_evaluate with a scratch and a correction buffer of its own, and the frames'
+              thread puts that on the track when the job is done: they share nothing else (examples/crowd.c). m frames of
+              work are m frames of lag: a correction many frames late is worse than none. Without background jobs, call
+              dn_stage_skin and _rows in one frame, _network in the next, then dn_stage_keep, on a scratch of their own
    not here   garments: they collide with the body of the frame at hand, so their displacement cannot wait */
 
 /*  dn_evaluate - the network's displacement for a pose, in rest space
