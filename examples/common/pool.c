@@ -57,7 +57,7 @@ static void ex_thread_join(ex_thread t) { pthread_join(t, NULL); }
 #endif
 /* looks before sleeping: some tens of microseconds, for a frame is many short jobs with less than that between them, and
    waking a thread takes as long. Chunks a worker: evens out unequal ranges */
-enum { EX_LOOKS = 3000, EX_CHUNKS = 4 };
+enum { EX_LOOKS = 3000, EX_CHUNKS = 16 };
 
 typedef struct ex_worker {
    ex_pool *pool;
