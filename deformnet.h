@@ -2569,7 +2569,9 @@ static size_t dn__graph_bandwidth(const dn_graph *g) /* the largest |i - j| over
    size_t i, most = 0;
    for (i = 0; i < g->nodes; i++) {
       uint32_t from = g->first[i], to = g->first[i + 1];
-      if (from < to) most = dn__max(most, dn__max(i, g->next[to - 1]) - dn__min(i, g->next[from])); /* ascending */
+      if (from == to) continue;
+      if (g->next[from] < i) most = dn__max(most, i - g->next[from]); /* ascending: the first and the last are farthest */
+      if (g->next[to - 1] > i) most = dn__max(most, g->next[to - 1] - i);
    }
    return most;
 }
