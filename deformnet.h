@@ -56,6 +56,8 @@
    DN_SQRTF DN_FABSF DN_SINF DN_COSF DN_SQRT DN_FABS  implementation  libm   all six or none
    DN_NO_STDIO        every file      off           no dn_model_load_file, no <stdio.h>
    DN_NO_SIMD         implementation  off           reference kernels only
+   DN_EXACT           implementation  off           the same bits from every compiler, optimisation and processor (its terms are
+                                                    in >>base); reference kernels only, of every precision: several times slower
    DN_MAX_DIM         implementation  1<<16         larger tensor sides are refused as hostile
 
    No macro changes the layout of a public struct. */
@@ -1434,8 +1436,14 @@ DN_API void *dn_blend_scratch_create(const dn_blend *blend, const dn_allocator *
    #include <math.h>
    #define DN_SQRTF(x) sqrtf(x)
    #define DN_FABSF(x) fabsf(x)
-   #define DN_SINF(x) sinf(x)
-   #define DN_COSF(x) cosf(x)
+   #ifdef DN_EXACT /* no two libms agree on these; on roots they do */
+      #define DN__OWN_SINE
+      #define DN_SINF(x) dn__sine((double)(x), 0.0)
+      #define DN_COSF(x) dn__sine((double)(x), 0.5)
+   #else
+      #define DN_SINF(x) sinf(x)
+      #define DN_COSF(x) cosf(x)
+   #endif
    #define DN_SQRT(x) sqrt(x)
    #define DN_FABS(x) fabs(x)
 #endif
@@ -1446,6 +1454,54 @@ DN_API void *dn_blend_scratch_create(const dn_blend *blend, const dn_allocator *
    #define DN_MAX_DIM ((size_t)1 << 16)
 #endif
 #define DN__ALIGN ((size_t)64)
+
+/* --- DN_EXACT: the same bits everywhere. The reference texts alone, whose order is fixed; every operation rounded to
+   its own type and by itself: a b + c in one rounding is what compilers make of it where the processor can, unless told
+   not to. gcc's pragma is undone at the end of the file; the others' holds on, which rounds no code after it worse.
+   Refused where a compiler says that it takes liberties. clang does not say so of parts of -ffast-math, nor that
+   -ffp-contract=fast disregards the source: do not give it these. A thread that flushes denormals to zero, or rounds
+   otherwise than to nearest, gets other bits; so do replacements like DN_SINF that are not exact themselves. The one
+   thing left to the processor is which NaN a NaN is. */
+#ifdef DN_EXACT
+   #include <float.h>
+   #if !defined(FLT_EVAL_METHOD) || (FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16)
+      #error "deformnet: DN_EXACT needs floats that round as floats: 32-bit x86 has them with -msse2 -mfpmath=sse, gcc for s390x with -std=gnu99"
+   #endif
+   #if defined(__FAST_MATH__) || defined(_M_FP_FAST) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || \
+       (defined(__GCC_IEC_559) && __GCC_IEC_559 < 1)
+      #error "deformnet: DN_EXACT and -ffast-math, or parts of it, exclude each other"
+   #endif
+   #ifndef DN_NO_SIMD
+      #define DN_NO_SIMD
+      #define DN__NO_SIMD /* ours: it goes again at the end */
+   #endif
+   #if defined(__GNUC__) && !defined(__clang__)
+      #pragma GCC push_options
+      #pragma GCC optimize("fp-contract=off")
+   #elif defined(_MSC_VER) && !defined(__clang__)
+      #pragma fp_contract(off)
+   #else
+      #pragma STDC FP_CONTRACT OFF
+   #endif
+#endif
+#ifdef DN__OWN_SINE
+/* sin x, or cos x when half is 1/2: with n the whole number nearest to x / pi - half and r = x - (n + half) pi,
+   sin x = (-1)^n sin r and cos x = -(-1)^n sin r; sin r is its series up to r^15. Within an ulp or two of the float */
+static float dn__sine(double x, double half)
+{
+   double n, r, z;
+   int64_t k;
+   if (!(x > -1e9 && x < 1e9)) return (float)(x - x); /* NaN of NaN and infinity; 0 where a float knows no angle any more */
+   n = x * 0.31830988618379067 - half;
+   k = (int64_t)(n < 0 ? n - 0.5 : n + 0.5);
+   n = (double)k + half;
+   r = (x - n * 3.140625) - n * 9.6765358979323846e-4; /* pi in two parts: the first product is exact */
+   z = r * r;
+   r += r * z * (-1.0 / 6 + z * (1.0 / 120 + z * (-1.0 / 5040 + z * (1.0 / 362880 + z * (-1.0 / 39916800 + z *
+        (1.0 / 6227020800.0 - z / 1307674368000.0))))));
+   return (float)((k & 1) != (half > 0) ? -r : r);
+}
+#endif
 
 /* --- checked arithmetic: no size that came from outside is multiplied, added or rounded without these.
    They saturate: SIZE_MAX means "does not fit", stays SIZE_MAX through further steps, and no block is that big. */
@@ -15010,6 +15066,14 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
    return bad ? dn__fail_sizes(err, DN_NOT_FINITE, dn__where_blend, SIZE_MAX, "", bad, NULL, 0,
                                " rotations, coefficients or sides of the translation are not finite") : DN_OK;
 }
+#ifdef DN_EXACT
+   #if defined(__GNUC__) && !defined(__clang__)
+      #pragma GCC pop_options
+   #endif
+   #ifdef DN__NO_SIMD
+      #undef DN_NO_SIMD
+   #endif
+#endif
 /* the private macros go: what stays defined is documented in >>config, >>types and >>layers */
 #undef DN__AHEAD
 #undef DN__ALIGN
@@ -15053,6 +15117,8 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__LOG2E
 #undef DN__MOST
 #undef DN__NONE
+#undef DN__NO_SIMD
+#undef DN__OWN_SINE
 #undef DN__PROBE_CAP
 #undef DN__RANK_CAP
 #undef DN__RUN

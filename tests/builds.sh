@@ -53,6 +53,7 @@ for cc in gcc clang; do
    build $cc-static one.c $cc -std=c99 $W -O0 -DDEFORMNET_STATIC
    build $cc-static-c++ one.cpp ${cc/gcc/g++} -xc++ -std=c++11 $W -O0 -DDEFORMNET_STATIC
    build $cc-no-stdio one.c $cc -std=c99 $W -O0 -DDN_NO_STDIO
+   build $cc-exact one.c $cc -std=c99 $W -O0 -DDN_EXACT
    build $cc-native one.c $cc -std=c99 $W -O0 -march=native
 done
 build clang-weverything one.c clang -std=c99 -Weverything -Werror -O0 -Wno-padded -Wno-disabled-macro-expansion -Wno-declaration-after-statement \
@@ -61,6 +62,7 @@ build clang-weverything one.c clang -std=c99 -Weverything -Werror -O0 -Wno-padde
    -Wno-documentation -Wno-documentation-unknown-command -Wno-tautological-unsigned-zero-compare
 build gcc-c++20 one.cpp g++ -std=c++20 $W -O0
 build gcc-Os one.c gcc -std=c99 $W -Os
+build gcc-exact-all-off-m32 one.c gcc -std=c99 $W -O1 -m32 -msse2 -mfpmath=sse -DDN_EXACT -DDEFORMNET_STATIC -DDN_NO_STDIO
 build gcc-O3 one.c gcc -std=c99 $W -O3
 build gcc-O0-ndebug one.c gcc -std=c99 $W -O0 -DNDEBUG
 build gcc-unsigned-char one.c gcc -std=c99 $W -O0 -funsigned-char

@@ -135,6 +135,15 @@ for m in $(cat macros.txt); do
       *) [ "$(size scalar.o | awk 'NR == 2 {print $1}')" -lt "$(size plain.o | awk 'NR == 2 {print $1}')" ]; result $? "$m: leaves kernels out" ;;
       esac
       ;;
+   DN_EXACT) # that its bits are the same everywhere, and what it refuses: exact.sh
+      build exact -DDN_EXACT -Wall -Wextra -Werror; result $? "$m: compiles without a warning"
+      ! missing exact | grep -q 'sinf\|cosf' && missing plain | grep -q sinf; result $? "$m: asks no libm for a sine"
+      defined exact | awk '{print $3}' | sort > of_exact.txt
+      build scalar -DDN_NO_SIMD
+      defined scalar | awk '{print $3}' | sort > of_scalar.txt
+      bad=$(comm -13 of_scalar.txt of_exact.txt | grep -v '^dn__sine' | sed 's/\..*//' | sort -u | tr '\n' ' ')
+      [ -s of_scalar.txt ] && [ -z "$bad" ]; result $? "$m: has no function that DN_NO_SIMD has not $bad"
+      ;;
    DN_MAX_DIM)
       cat > dim.c <<'E'
 #define DEFORMNET_IMPLEMENTATION
@@ -179,7 +188,7 @@ structs=$(awk '/^#endif \/\* DEFORMNET_H \*\//{exit} {print}' deformnet.h | grep
    echo '   return 0; }'
 } >> layout.c
 $CC -std=c99 layout.c -o layout 2> /dev/null && ./layout > layout.txt
-$CC -std=c99 -include before.h -DDN_NO_STDIO -DDN_NO_SIMD -DDN_MAX_DIM=7 -DDEFORMNET_STATIC -w layout.c -o layout 2> /dev/null && ./layout > layout2.txt
+$CC -std=c99 -include before.h -DDN_NO_STDIO -DDN_NO_SIMD -DDN_EXACT -DDN_MAX_DIM=7 -DDEFORMNET_STATIC -w layout.c -o layout 2> /dev/null && ./layout > layout2.txt
 n=$(cat layout.txt | wc -l)
 [ "$n" -ge 15 ] && cmp -s layout.txt layout2.txt; result $? "the macros leave the sizes of $n structs alone"
 

@@ -142,7 +142,8 @@ TEST_UNUSED static uint32_t test_random(uint64_t *state)
 }
 TEST_UNUSED static float test_uniform(uint64_t *state, float low, float high)
 {
-   return low + (high - low) * ((float)(test_random(state) & 0xffffffu) * (1.0f / 16777216.0f));
+   volatile float x = (high - low) * ((float)(test_random(state) & 0xffffffu) * (1.0f / 16777216.0f));
+   return low + x; /* in two steps: a compiler may otherwise round only once, where the processor can */
 }
 TEST_UNUSED static uint64_t test_hash(uint64_t h, const void *data, size_t size)
 {

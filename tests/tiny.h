@@ -15,26 +15,38 @@ TEST_UNUSED static void tiny_begin(tiny_writer *w, const char *metadata) /* the 
    w->bytes = 0;
    w->used = (size_t)snprintf(w->header, sizeof w->header, "{\"__metadata__\":{%s}", metadata);
 }
+/* a tensor of that shape, "3,4"; its numbers follow, one by one */
+TEST_UNUSED static void tiny_entry(tiny_writer *w, const char *name, const char *type, const char *shape, size_t count)
+{
+   if (w->used + 256 > sizeof w->header || w->bytes + 4 * count > sizeof w->data) exit(2);
+   w->used += (size_t)snprintf(w->header + w->used, sizeof w->header - w->used,
+                               ",\"%s\":{\"dtype\":\"%s\",\"shape\":[%s],\"data_offsets\":[%lu,%lu]}", name, type, shape,
+                               (unsigned long)w->bytes, (unsigned long)(w->bytes + 4 * count));
+}
+TEST_UNUSED static void tiny_number(tiny_writer *w, const void *number /* four bytes, this machine's order */)
+{
+   uint32_t u;
+   size_t k;
+   memcpy(&u, number, 4);
+   for (k = 0; k < 4; k++) w->data[w->bytes++] = (unsigned char)(u >> (8 * k));
+}
+TEST_UNUSED static void tiny_shaped(tiny_writer *w, const char *name, const char *shape, size_t count, uint64_t *seed,
+                                    float low, float high)
+{
+   size_t i;
+   tiny_entry(w, name, "F32", shape, count);
+   for (i = 0; i < count; i++) {
+      float x = test_uniform(seed, low, high);
+      tiny_number(w, &x);
+   }
+}
 TEST_UNUSED static void tiny_tensor(tiny_writer *w, const char *name, size_t rows, size_t columns /* 0: rank 1 */,
                                     uint64_t *seed, float low, float high)
 {
-   size_t n = rows * (columns ? columns : 1), i;
    char shape[64];
    if (columns) snprintf(shape, sizeof shape, "%lu,%lu", (unsigned long)rows, (unsigned long)columns);
    else snprintf(shape, sizeof shape, "%lu", (unsigned long)rows);
-   w->used += (size_t)snprintf(w->header + w->used, sizeof w->header - w->used,
-                               ",\"%s\":{\"dtype\":\"F32\",\"shape\":[%s],\"data_offsets\":[%lu,%lu]}", name, shape,
-                               (unsigned long)w->bytes, (unsigned long)(w->bytes + 4 * n));
-   for (i = 0; i < n; i++, w->bytes += 4) {
-      float x = test_uniform(seed, low, high);
-      uint32_t u;
-      if (w->used + 256 > sizeof w->header || w->bytes + 4 > sizeof w->data) exit(2);
-      memcpy(&u, &x, 4);
-      w->data[w->bytes] = (unsigned char)u;
-      w->data[w->bytes + 1] = (unsigned char)(u >> 8);
-      w->data[w->bytes + 2] = (unsigned char)(u >> 16);
-      w->data[w->bytes + 3] = (unsigned char)(u >> 24);
-   }
+   tiny_shaped(w, name, shape, rows * (columns ? columns : 1), seed, low, high);
 }
 /* header (a whole JSON object) and data as a file; spaces are padding after the header */
 TEST_UNUSED static unsigned char *tiny_join(const char *header, size_t spaces, const void *data, size_t bytes, size_t *size)
@@ -67,19 +79,24 @@ TEST_UNUSED static void tiny_batchnorm(tiny_writer *w, const char *name, size_t 
    snprintf(full, sizeof full, "%s.bn.running_mean", name), tiny_tensor(w, full, n, 0, seed, -0.2f, 0.2f);
    snprintf(full, sizeof full, "%s.bn.running_var", name), tiny_tensor(w, full, n, 0, seed, 0.5f, 1.5f);
 }
+TEST_UNUSED static void tiny_lifted(tiny_writer *w, const char *name, size_t out, size_t in, uint64_t *seed, float lift)
+{
+   char full[64];
+   snprintf(full, sizeof full, "%s.weight", name), tiny_tensor(w, full, out, in, seed, lift - 0.7f, 0.7f);
+   snprintf(full, sizeof full, "%s.bias", name), tiny_tensor(w, full, out, 0, seed, lift - 0.2f, lift + 0.2f);
+}
 TEST_UNUSED static void tiny_linear(tiny_writer *w, const char *name, size_t out, size_t in, uint64_t *seed)
 {
-   char full[64];
-   snprintf(full, sizeof full, "%s.weight", name), tiny_tensor(w, full, out, in, seed, -0.7f, 0.7f);
-   snprintf(full, sizeof full, "%s.bias", name), tiny_tensor(w, full, out, 0, seed, -0.2f, 0.2f);
+   tiny_lifted(w, name, out, in, seed, 0);
 }
-TEST_UNUSED static void tiny_gat(tiny_writer *w, const char *name, size_t in, uint64_t *seed) /* K = F = B = 2: 6 wide */
+/* K = F = B = 2: 6 wide. Its weights are large: what tanhshrink makes of small rows, cubes, soon vanishes */
+TEST_UNUSED static void tiny_gat(tiny_writer *w, const char *name, size_t in, uint64_t *seed)
 {
    char full[64];
-   snprintf(full, sizeof full, "%s.lin.weight", name), tiny_tensor(w, full, 4, in, seed, -0.7f, 0.7f);
+   snprintf(full, sizeof full, "%s.lin.weight", name), tiny_tensor(w, full, 4, in, seed, -2.5f, 2.5f);
    snprintf(full, sizeof full, "%s.att_dst", name), tiny_tensor(w, full, 2, 2, seed, -0.7f, 0.7f);
    snprintf(full, sizeof full, "%s.att_src", name), tiny_tensor(w, full, 2, 2, seed, -0.7f, 0.7f);
-   snprintf(full, sizeof full, "%s.self.weight", name), tiny_tensor(w, full, 2, in, seed, -0.7f, 0.7f);
+   snprintf(full, sizeof full, "%s.self.weight", name), tiny_tensor(w, full, 2, in, seed, -2.5f, 2.5f);
 }
 /* 6 -> 5 -> 3, about 1.6 kB; no joint names */
 TEST_UNUSED static unsigned char *tiny_mlp(size_t *size)
@@ -135,9 +152,10 @@ TEST_UNUSED static void tiny_pool(tiny_writer *w, const char *name, size_t in, u
 TEST_UNUSED static void tiny_head(tiny_writer *w, const char *prefix, size_t in, size_t out, uint64_t *seed)
 {
    char full[64];
-   snprintf(full, sizeof full, "%spost.0", prefix), tiny_linear(w, full, 5, in, seed);
-   snprintf(full, sizeof full, "%spost.1", prefix), tiny_linear(w, full, 4, 5, seed);
-   snprintf(full, sizeof full, "%sout", prefix), tiny_linear(w, full, out, 4, seed);
+   float lift = out == 1 ? 0.35f : 0; /* of the numbers that go through relu enough remain */
+   snprintf(full, sizeof full, "%spost.0", prefix), tiny_lifted(w, full, 5, in, seed, lift);
+   snprintf(full, sizeof full, "%spost.1", prefix), tiny_lifted(w, full, 4, 5, seed, lift);
+   snprintf(full, sizeof full, "%sout", prefix), tiny_lifted(w, full, out, 4, seed, lift);
 }
 enum { TINY_ALPHAS = 2, TINY_BETAS = 1, TINY_THETAS = 4, TINY_SHAPE = TINY_ALPHAS + TINY_BETAS + TINY_THETAS };
 TEST_UNUSED static unsigned char *tiny_cloth(const char *pooling, size_t *size)
@@ -167,6 +185,7 @@ TEST_UNUSED static unsigned char *tiny_cloth(const char *pooling, size_t *size)
       snprintf(name, sizeof name, "detail.%s", head), tiny_head(&w, name, 6, k ? 1 : 3, &seed);
    }
    tiny_tensor(&w, "coarse.output.std", 3, 0, &seed, 0.01f, 0.02f);
+   tiny_tensor(&w, "detail.output.std", 3, 0, &seed, 0.01f, 0.02f);
    tiny_tensor(&w, "detail.input.std", 9, 0, &seed, 0.5f, 1.5f);
    return tiny_file(&w, size);
 }
@@ -192,6 +211,93 @@ TEST_UNUSED static unsigned char *tiny_garfit(const char *pooling, size_t *size)
       tiny_head(&w, head, 42, k ? 1 : 3, &seed);
    }
    tiny_tensor(&w, "output.std", 3, 0, &seed, 0.01f, 0.02f);
+   return tiny_file(&w, size);
+}
+
+/* the other architectures, every block 6 wide as well */
+TEST_UNUSED static unsigned char *tiny_gats(const char *arch /* "gat" or "neuroskinning" */, size_t *size)
+{
+   static tiny_writer w;
+   uint64_t seed = 5;
+   char meta[512];
+   int linear = arch[0] == 'n';
+   snprintf(meta, sizeof meta, TINY_META TINY_JOINTS ",\"deformnet.arch\":\"%s\",\"deformnet.frame\":\"root\","
+            "\"deformnet.features\":\"position,normal,distance\"", arch);
+   tiny_begin(&w, meta);
+   if (linear) tiny_linear(&w, "pre.0", 5, 9, &seed), tiny_linear(&w, "pre.1", 4, 5, &seed);
+   tiny_gat(&w, "gat.0", linear ? 4 : 9, &seed);
+   tiny_gat(&w, "gat.1", 6, &seed);
+   tiny_batchnorm(&w, "gat.1", 6, &seed);
+   tiny_gat(&w, "gat.2", 6, &seed);
+   if (linear) tiny_linear(&w, "post.0", 6, 6, &seed);
+   tiny_linear(&w, "out", 3, 6, &seed);
+   tiny_tensor(&w, "output.std", 3, 0, &seed, 0.01f, 0.02f);
+   return tiny_file(&w, size);
+}
+TEST_UNUSED static unsigned char *tiny_dense(size_t *size) /* 40 and twice 42 wide, 22 kB */
+{
+   static tiny_writer w;
+   uint64_t seed = 6;
+   char name[64];
+   size_t m, b, in = 4;
+   tiny_begin(&w, TINY_META TINY_JOINTS ",\"deformnet.arch\":\"densegats\",\"deformnet.frame\":\"model\","
+              "\"deformnet.features\":\"position,normal,geodesic\"");
+   tiny_linear(&w, "pre.0", 5, 9, &seed);
+   tiny_batchnorm(&w, "pre.0", 5, &seed);
+   tiny_linear(&w, "pre.1", 4, 5, &seed);
+   for (m = 0; m < 3; m++, in = 6) {
+      for (b = 0; b < 6; b++) snprintf(name, sizeof name, "dense.%lu.%lu", (unsigned long)m, (unsigned long)b), tiny_gat(&w, name, in + 6 * b, &seed);
+      snprintf(name, sizeof name, "transition.%lu", (unsigned long)m);
+      if (m < 2) tiny_gat(&w, name, in + 36, &seed);
+   }
+   tiny_linear(&w, "post.0", 5, 42, &seed);
+   tiny_linear(&w, "post.1", 4, 5, &seed);
+   tiny_linear(&w, "out", 3, 4, &seed);
+   tiny_tensor(&w, "output.std", 3, 0, &seed, 0.01f, 0.02f);
+   return tiny_file(&w, size);
+}
+TEST_UNUSED static unsigned char *tiny_coarse(size_t *size) /* garfit_coarse */
+{
+   static tiny_writer w;
+   uint64_t seed = 7;
+   char name[64];
+   size_t b;
+   tiny_begin(&w, TINY_META TINY_JOINTS ",\"deformnet.arch\":\"garfit_coarse\",\"deformnet.frame\":\"root\","
+              "\"deformnet.features\":\"relative,normal,fit:2\"");
+   for (b = 0; b < 4; b++) snprintf(name, sizeof name, "gat.%lu", (unsigned long)b), tiny_gat(&w, name, b ? 6 : 8, &seed);
+   tiny_linear(&w, "dir.out", 3, 6, &seed);
+   tiny_lifted(&w, "len.out", 1, 6, &seed, 0.35f);
+   tiny_tensor(&w, "output.std", 3, 0, &seed, 0.01f, 0.02f);
+   return tiny_file(&w, size);
+}
+/* neuralblendshapes of three joints and two shapes; lists of widths end at 0 */
+TEST_UNUSED static void tiny_chain(tiny_writer *w, const char *stem, const size_t *width, size_t joints /* 0: convolutions */,
+                                   uint64_t *seed)
+{
+   size_t i, J = joints ? joints : 1;
+   char name[64], shape[64];
+   for (i = 0; width[i + 1]; i++) {
+      size_t out = J * width[i + 1], in = J * width[i];
+      snprintf(name, sizeof name, "%s%lu.weight", stem, (unsigned long)i);
+      snprintf(shape, sizeof shape, joints ? "%lu,%lu" : "%lu,%lu,1,5", (unsigned long)out, (unsigned long)in);
+      tiny_shaped(w, name, shape, out * in * (joints ? 1 : 5), seed, -0.7f, 0.7f);
+      snprintf(name, sizeof name, "%s%lu.bias", stem, (unsigned long)i);
+      tiny_tensor(w, name, out, 0, seed, -0.2f, 0.2f);
+   }
+}
+TEST_UNUSED static unsigned char *tiny_blend(size_t *size)
+{
+   static tiny_writer w;
+   static const size_t att[] = {3, 6, 3, 0}, geo[] = {3, 7, 6, 0}, gen[] = {6, 4, 3, 0}, geo2[] = {3, 6, 0}, dec[] = {9, 6, 0}, coff[] = {9, 4, 2, 0};
+   uint64_t seed = 8;
+   tiny_begin(&w, TINY_META "\"deformnet.arch\":\"neuralblendshapes\",\"deformnet.parents\":\"-1,0,1\"");
+   tiny_chain(&w, "att.", att, 0, &seed);
+   tiny_chain(&w, "geo.", geo, 0, &seed);
+   tiny_chain(&w, "gen.", gen, 3, &seed);
+   tiny_chain(&w, "geo2.", geo2, 0, &seed);
+   tiny_chain(&w, "dec.", dec, 0, &seed);
+   tiny_chain(&w, "coff.0.", coff, 1, &seed);
+   tiny_chain(&w, "coff.1.", coff, 1, &seed);
    return tiny_file(&w, size);
 }
 
