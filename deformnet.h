@@ -6191,20 +6191,26 @@ typedef struct dn__gat_job {
    float *z, *y;
    size_t v_stride, y_stride;
 } dn__gat_job;
+/* both products as one: z (rows,stride); y: rows of the block's output, of which the columns c are written */
+static void dn__gat_rows(const dn_gat *b, const float *v, size_t v_stride, float *z, float *y, size_t y_stride,
+                         size_t begin, size_t end)
+{
+   dn_linear z_of = dn__gat_z(b), c_of = dn__gat_c(b), both = z_of;
+   float *c = y + b->heads * b->features;
+   if (dn__kernel_of(b->kernel)) {
+      both.out += c_of.out;
+      both.activation = c_of.activation;
+      dn__product_split(&both, v, v_stride, z, z_of.out, z_of.out, c, y_stride, begin, end);
+   } else {
+      dn__product_ref(&z_of, v, v_stride, z, z_of.out, begin, end);
+      dn__product_ref(&c_of, v, v_stride, c, y_stride, begin, end);
+   }
+}
 static void dn__gat_products(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__gat_job *j = (const dn__gat_job *)job;
-   dn_linear z_of = dn__gat_z(j->block), c_of = dn__gat_c(j->block), both = z_of;
-   float *c = j->y + j->block->heads * j->block->features;
    (void)worker;
-   if (dn__kernel_of(both.kernel)) {
-      both.out += c_of.out;
-      both.activation = c_of.activation;
-      dn__product_split(&both, j->v, j->v_stride, j->z, z_of.out, z_of.out, c, j->y_stride, begin, end);
-   } else {
-      dn__product_ref(&z_of, j->v, j->v_stride, j->z, z_of.out, begin, end);
-      dn__product_ref(&c_of, j->v, j->v_stride, c, j->y_stride, begin, end);
-   }
+   dn__gat_rows(j->block, j->v, j->v_stride, j->z, j->y, j->y_stride, begin, end);
 }
 static void dn__gat_attend(void *job, size_t begin, size_t end, unsigned worker)
 {
@@ -7708,11 +7714,8 @@ static size_t dn__z_pitch(const dn__block *b) { return dn__mul(dn__gat_stride(&b
 static void dn__block_products(const dn__block *b, const unsigned char *x, size_t x_pitch, unsigned char *z,
                                unsigned char *y, size_t y_pitch, size_t rows)
 {
-   dn_linear z_of = dn__gat_z(&b->gat), c_of = dn__gat_c(&b->gat);
-   const float *from = (const float *)(const void *)x;
-   dn__product(&z_of, from, x_pitch / sizeof(float), (float *)(void *)z, z_of.out, 0, rows);
-   dn__product(&c_of, from, x_pitch / sizeof(float), (float *)(void *)y + b->gat.heads * b->gat.features,
-               y_pitch / sizeof(float), 0, rows);
+   dn__gat_rows(&b->gat, (const float *)(const void *)x, x_pitch / sizeof(float), (float *)(void *)z,
+                (float *)(void *)y, y_pitch / sizeof(float), 0, rows);
 }
 /* the other columns of y, nodes begin to end - 1; z of node n is row (n & mask), y starts with node `begin` */
 static void dn__block_attend(const dn__block *b, const dn_graph *g, const unsigned char *z, size_t mask,
