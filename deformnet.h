@@ -9202,6 +9202,11 @@ DN_API void dn_rig_describe(const dn_rig *rig, dn_rig_view *view) { *view = rig-
    flow     dn_stage_skin -> dn_stage_rows -> dn_stage_network -> dn_stage_output; dn_deform is the four in a row
    paper    T 2.1, T 2.2 (skinning), T 3.9 (relative), spec sections 2 and 3 */
 
+enum { DN__TALLY = 1024 };    /* a multiple of this many nodes or vertices goes to a worker at a time */
+typedef struct dn__tally {    /* what one such run found; added up in order once all are done */
+   float low[3], high[3];     /* box of its vertices */
+   uint32_t fallen;           /* its nodes that the network left not finite */
+} dn__tally;
 typedef struct dn__frame {    /* the scratch, carved the same way by every stage */
    float *palette;            /* (S,12) model space */
    float *wide;               /* (S,16) the same, each joint on a cache line; LBS only */
@@ -9217,6 +9222,7 @@ typedef struct dn__frame {    /* the scratch, carved the same way by every stage
    float *rows;               /* (N, live columns), normalised */
    float *displacement;       /* (N,3) network's frame, then model space */
    uint32_t *state;           /* (3) fallback nodes, finite palette, skinned by LBS here */
+   dn__tally *tally;          /* (V / DN__TALLY, rounded up) */
    dn__net net;
 } dn__frame;
 
@@ -9238,6 +9244,7 @@ static void dn__frame_layout(dn__frame *f, const dn_model *m, size_t vertices, c
    f->normals = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
    f->displacement = (float *)dn__take(a, dn__mul(nodes, 3), sizeof(float));
    f->state = (uint32_t *)dn__take(a, 3, sizeof(uint32_t));
+   f->tally = (dn__tally *)dn__take(a, vertices / DN__TALLY + 1, sizeof(dn__tally));
    f->rows = (float *)dn__take(a, dn__mul(nodes, width), sizeof(float));
    if (m) dn__net_layout(&f->net, m, e, workers, a);
 }
@@ -9418,8 +9425,30 @@ DN_API void dn_stage_rows(const dn_rig *rig, void *scratch, const dn_parallel *p
 }
 
 /* --- stage 3: the network, and its output made displacements in model space */
+static void dn__keep_finite(const dn__frame *f, size_t begin, size_t end) /* the worst case is always the skinned mesh */
+{
+   size_t i, k, stop;
+   for (; begin < end; begin = stop) {
+      uint32_t fallen = 0;
+      stop = dn__min(end, begin + DN__TALLY);
+      for (i = begin; i < stop; i++) {
+         float *d = f->displacement + 3 * i;
+         int good = 1;
+         for (k = 0; k < 3; k++) good &= dn__finite(d[k]) & dn__finite(f->coarse[3 * i + k]);
+         if (good) continue;
+         fallen++;
+         d[0] = d[1] = d[2] = 0.0f;
+      }
+      f->tally[begin / DN__TALLY].fallen = fallen;
+   }
+}
+static void dn__count_fallen(const dn__frame *f, size_t nodes)
+{
+   size_t i;
+   for (i = 0; i * DN__TALLY < nodes; i++) f->state[0] += f->tally[i].fallen;
+}
 /* the network's output, in its units and frame, to displacements in model space */
-typedef struct dn__scale_job { const dn__stage *stage; const float *root; float *rows; } dn__scale_job;
+typedef struct dn__scale_job { const dn__stage *stage; const float *root; float *rows; const dn__frame *f; } dn__scale_job;
 static void dn__displace_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__scale_job *j = (const dn__scale_job *)job;
@@ -9431,27 +9460,19 @@ static void dn__displace_range(void *job, size_t begin, size_t end, unsigned wor
       for (k = 0; k < 3; k++) d[k] = d[k] * m->output_std[k] + m->output_mean[k];
       dn__rotate(j->root, d, d);
    }
+   if (j->f) dn__keep_finite(j->f, begin, end);
 }
-static void dn__displace(const dn__stage *stage, const float root[9], float *displacement, size_t nodes,
+/* f: the rig's frame whose displacement that is; NULL: a garment's, which looks at it later */
+static void dn__displace(const dn__stage *stage, const float root[9], float *displacement, size_t nodes, const dn__frame *f,
                          const dn_parallel *parallel)
 {
    dn__scale_job job;
    job.stage = stage;
    job.root = root;
    job.rows = displacement;
-   dn__for(parallel, nodes, 1024, dn__displace_range, &job);
-}
-static void dn__keep_finite(const dn__frame *f, size_t nodes) /* the worst case is always the skinned mesh */
-{
-   size_t i, k;
-   for (i = 0; i < nodes; i++) {
-      float *d = f->displacement + 3 * i;
-      int good = 1;
-      for (k = 0; k < 3; k++) good &= dn__finite(d[k]) & dn__finite(f->coarse[3 * i + k]);
-      if (good) continue;
-      f->state[0]++;
-      d[0] = d[1] = d[2] = 0.0f;
-   }
+   job.f = f;
+   dn__for(parallel, nodes, DN__TALLY, dn__displace_range, &job);
+   if (f) dn__count_fallen(f, nodes);
 }
 DN_API void dn_stage_network(const dn_rig *rig, void *scratch, const dn_parallel *parallel, const dn_probe *probe)
 {
@@ -9471,8 +9492,7 @@ DN_API void dn_stage_network(const dn_rig *rig, void *scratch, const dn_parallel
    run.probe = probe;
    run.found = NULL;
    dn__run_network(&run, f.rows, f.displacement);
-   dn__displace(run.stage, f.root, f.displacement, nodes, parallel);
-   dn__keep_finite(&f, nodes);
+   dn__displace(run.stage, f.root, f.displacement, nodes, &f, parallel);
 }
 
 /* --- stage 4: out to the caller */
@@ -9482,40 +9502,76 @@ static float dn__amount(const dn__output_job *j, size_t v)
 {
    return j->pose->mask ? j->strength * dn__unit_clamp(j->pose->mask[v]) : j->strength;
 }
+static void dn__shift(const dn__output_job *j, size_t v, size_t node, float shift[3])
+{
+   const float *d = j->f->displacement + 3 * node;
+   float amount = dn__amount(j, v);
+   size_t k;
+   for (k = 0; k < 3; k++) shift[k] = amount * d[k];
+}
+/* vertices begin..end refined in place, and their box; NaN is in no box */
+static void dn__refine(const dn__output_job *j, size_t begin, size_t end, dn__tally *t)
+{
+   const uint32_t *node = j->r->view.node_of_vertex;
+   float low[3] = { 3.402823466e38f, 3.402823466e38f, 3.402823466e38f }, high[3] = { -3.402823466e38f, -3.402823466e38f, -3.402823466e38f };
+   float *skinned = j->f->skinned;
+   size_t v, k;
+   for (v = begin; v < end; v++) {
+      float shift[3], *p = skinned + 3 * v;
+      dn__shift(j, v, node[v], shift);
+      for (k = 0; k < 3; k++) {
+         float x = p[k] + shift[k];
+         p[k] = x;
+         low[k] = x < low[k] ? x : low[k];
+         high[k] = x > high[k] ? x : high[k];
+      }
+   }
+   memcpy(t->low, low, sizeof low);
+   memcpy(t->high, high, sizeof high);
+}
+static void dn__rest_delta(const dn__output_job *j, size_t v) /* M rest_delta = displacement, M the vertex's blended matrix */
+{
+   const dn_rig_view *view = &j->r->view;
+   const uint32_t *joint = view->skin_joint + v * view->influences;
+   const float *weight = view->skin_weight + v * view->influences;
+   float m[12], shift[3], back[3];
+   dn__shift(j, v, view->node_of_vertex[v], shift);
+   if (j->r->skinning == DN_DQS) dn__dqs_blend(joint, weight, view->influences, j->f->dual, m);
+   else dn__lbs_blend(joint, weight, view->influences, j->f->palette, m);
+   dn__unskin(m, shift, back);
+   memcpy(dn__strided(j->out->rest_delta, dn__stride(j->out->rest_delta_stride, 12), v), back, 12);
+}
+static void dn__strided_copy(float *to, size_t stride, const float *from, size_t begin, size_t end)
+{
+   size_t v;
+   stride = dn__stride(stride, 12);
+   for (v = begin; v < end; v++) memcpy(dn__strided(to, stride, v), from + 3 * v, 12);
+}
 static void dn__output_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__output_job *j = (const dn__output_job *)job;
    const dn_rig_view *view = &j->r->view;
-   dn_output *o = j->out;
-   size_t v, k;
+   const dn_output *o = j->out;
+   size_t v, stop;
    (void)worker;
-   for (v = begin; v < end; v++) {
-      const float *d = j->f->displacement + 3 * (size_t)view->node_of_vertex[v];
-      float amount = dn__amount(j, v), shift[3], *p = j->f->skinned + 3 * v; /* refined in place for the bounds */
-      for (k = 0; k < 3; k++) {
-         shift[k] = amount * d[k];
-         p[k] += shift[k];
+   for (; begin < end; begin = stop) {
+      stop = dn__min(end, begin + DN__TALLY);
+      dn__refine(j, begin, stop, j->f->tally + begin / DN__TALLY);
+      if (o->positions) dn__strided_copy(o->positions, o->position_stride, j->f->skinned, begin, stop);
+      for (v = begin; o->displacement && v < stop; v++) {
+         float shift[3];
+         dn__shift(j, v, view->node_of_vertex[v], shift);
+         memcpy(dn__strided(o->displacement, dn__stride(o->displacement_stride, 12), v), shift, 12);
       }
-      if (o->positions) memcpy(dn__strided(o->positions, dn__stride(o->position_stride, 12), v), p, 12);
-      if (o->displacement) memcpy(dn__strided(o->displacement, dn__stride(o->displacement_stride, 12), v), shift, 12);
-      if (o->rest_delta) { /* M rest_delta = displacement, M the vertex's blended matrix */
-         float m[12], back[3];
-         const uint32_t *joint = view->skin_joint + v * view->influences;
-         const float *weight = view->skin_weight + v * view->influences;
-         if (j->r->skinning == DN_DQS) dn__dqs_blend(joint, weight, view->influences, j->f->dual, m);
-         else dn__lbs_blend(joint, weight, view->influences, j->f->palette, m);
-         dn__unskin(m, shift, back);
-         memcpy(dn__strided(o->rest_delta, dn__stride(o->rest_delta_stride, 12), v), back, 12);
+      for (v = begin; o->rest_delta && v < stop; v++) dn__rest_delta(j, v);
+      /* Nodes of these numbers, there are no more than vertices, for the normals. Their vertices may carry different
+         masks: the first one speaks for a node */
+      for (v = begin; o->normals && v < dn__min(stop, view->nodes); v++) {
+         float *to = j->f->refined + 3 * v;
+         dn__shift(j, view->first_vertex[v], v, to);
+         to[0] += j->f->coarse[3 * v], to[1] += j->f->coarse[3 * v + 1], to[2] += j->f->coarse[3 * v + 2];
       }
    }
-}
-static void dn__refined_range(void *job, size_t begin, size_t end, unsigned worker)
-{
-   const dn__output_job *j = (const dn__output_job *)job;
-   size_t i;
-   (void)worker;
-   for (i = begin; i < end; i++) /* a node's vertices may carry different masks: the first one speaks for it */
-      memcpy(j->f->refined + 3 * i, j->f->skinned + 3 * (size_t)j->r->view.first_vertex[i], 12);
 }
 static void dn__node_normals_range(void *job, size_t begin, size_t end, unsigned worker)
 {
@@ -9527,11 +9583,12 @@ static void dn__node_normals_range(void *job, size_t begin, size_t end, unsigned
 static void dn__normals_out_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__output_job *j = (const dn__output_job *)job;
-   size_t v;
+   const uint32_t *node = j->r->view.node_of_vertex;
+   const float *normals = j->f->normals;
+   float *to = j->out->normals;
+   size_t v, stride = dn__stride(j->out->normal_stride, 12);
    (void)worker;
-   for (v = begin; v < end; v++)
-      memcpy(dn__strided(j->out->normals, dn__stride(j->out->normal_stride, 12), v),
-             j->f->normals + 3 * (size_t)j->r->view.node_of_vertex[v], 12);
+   for (v = begin; v < end; v++) memcpy(dn__strided(to, stride, v), normals + 3 * (size_t)node[v], 12);
 }
 static dn_result dn__frame_result(const dn_rig *rig, const dn__frame *f, dn_error *err)
 {
@@ -9544,26 +9601,22 @@ DN_API dn_result dn_stage_output(const dn_rig *rig, const dn_pose *pose, dn_outp
 {
    dn__frame f = dn__frame_of(rig, scratch, dn__workers(parallel));
    dn__output_job job;
-   size_t v, k;
+   size_t i, k;
    DN_ASSERT(out && pose);
    job.r = rig;
    job.f = &f;
    job.pose = pose;
    job.out = out;
    job.strength = dn__unit_clamp(pose->strength);
-   dn__for(parallel, rig->view.vertices, 1024, dn__output_range, &job);
-   for (k = 0; k < 3; k++) {
-      out->bounds_min[k] = 3.402823466e38f;
-      out->bounds_max[k] = -3.402823466e38f;
-   }
-   for (v = 0; v < rig->view.vertices; v++)
+   dn__for(parallel, rig->view.vertices, DN__TALLY, dn__output_range, &job);
+   memcpy(out->bounds_min, f.tally[0].low, sizeof out->bounds_min);
+   memcpy(out->bounds_max, f.tally[0].high, sizeof out->bounds_max);
+   for (i = 1; i * DN__TALLY < rig->view.vertices; i++)
       for (k = 0; k < 3; k++) {
-         float x = f.skinned[3 * v + k];
-         if (x < out->bounds_min[k]) out->bounds_min[k] = x;
-         if (x > out->bounds_max[k]) out->bounds_max[k] = x;
+         if (f.tally[i].low[k] < out->bounds_min[k]) out->bounds_min[k] = f.tally[i].low[k];
+         if (f.tally[i].high[k] > out->bounds_max[k]) out->bounds_max[k] = f.tally[i].high[k];
       }
    if (out->normals) {
-      dn__for(parallel, rig->view.nodes, 1024, dn__refined_range, &job);
       dn__for(parallel, rig->view.nodes, 512, dn__node_normals_range, &job);
       dn__for(parallel, rig->view.vertices, 1024, dn__normals_out_range, &job);
    }
@@ -9753,6 +9806,7 @@ static void dn__carry_range(void *job, size_t begin, size_t end, unsigned worker
       dn__node_rotation(j->r, j->f, i, r);
       dn__rotate(r, c, j->f->displacement + 3 * i);
    }
+   dn__keep_finite(j->f, begin, end);
 }
 DN_API dn_result dn_carry(const dn_rig *rig, const dn_pose *pose, const dn_track *track, dn_output *out, void *scratch,
                           size_t scratch_bytes, const dn_parallel *parallel, dn_error *err)
@@ -9771,8 +9825,8 @@ DN_API dn_result dn_carry(const dn_rig *rig, const dn_pose *pose, const dn_track
       job.f = &f;
       job.track = track;
       job.place = dn__track_place(track);
-      dn__for(parallel, track->nodes, 1024, dn__carry_range, &job);
-      dn__keep_finite(&f, track->nodes);
+      dn__for(parallel, track->nodes, DN__TALLY, dn__carry_range, &job);
+      dn__count_fallen(&f, track->nodes);
    }
    return dn_stage_output(&plain, pose, out, scratch, parallel, err);
 }
@@ -12170,7 +12224,7 @@ static void dn__garment_network(const dn_garment *g, const dn__wear *f, const dn
    }
    dn__normalise(stage, m->info.kernel, f->rows, nodes, parallel); /* after the tap, which sees the rows as they are */
    dn__run_garment(&run, f->rows, displacement);
-   if (!found) dn__displace(stage, f->root, displacement, nodes, parallel);
+   if (!found) dn__displace(stage, f->root, displacement, nodes, NULL, parallel);
 }
 static int dn__finite3(const float *p) { return dn__finite(p[0]) & dn__finite(p[1]) & dn__finite(p[2]); }
 

@@ -179,6 +179,21 @@ typedef struct result {
    dn_result code;
 } result;
 static int fill = 0x5a; /* what scratch holds beforehand */
+static void check_box(const dn_rig *rig, const result *r) /* of the positions that came out, NaN left out */
+{
+   dn_rig_view view;
+   size_t v, k;
+   dn_rig_describe(rig, &view);
+   for (k = 0; k < 3; k++) {
+      float low = 3.402823466e38f, high = -low;
+      for (v = 0; v < view.vertices; v++) {
+         float x = r->positions[3 * v + k];
+         if (x < low) low = x;
+         if (x > high) high = x;
+      }
+      CHECK(r->out.bounds_min[k] >= low && r->out.bounds_min[k] <= low && r->out.bounds_max[k] >= high && r->out.bounds_max[k] <= high);
+   }
+}
 static void frame(const dn_rig *rig, const dn_pose *pose, const dn_parallel *par, result *r)
 {
    size_t bytes = dn_scratch_size(rig, par ? par->workers : 1);
@@ -191,6 +206,7 @@ static void frame(const dn_rig *rig, const dn_pose *pose, const dn_parallel *par
    r->out.displacement = r->displacement;
    r->out.rest_delta = r->rest_delta;
    r->code = dn_deform(rig, pose, &r->out, scratch, bytes, par, &e);
+   check_box(rig, r);
    test_aligned_free(scratch);
 }
 static dn_pose pose_of(const float *palette)
