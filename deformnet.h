@@ -39,8 +39,8 @@
                >>config >>types >>bind >>model >>deform >>budget >>layers >>parts >>kit
                >>garments >>dressed >>blendshapes                                      (what you call)
                >>base >>tensors >>mesh >>skin >>geodesic >>kernels >>lbs >>features >>attention
-               >>pooling
-               >>networks >>garmentnets >>rig >>frame >>budget >>kit >>garment >>dressed >>blend (how it works)
+               >>reduced >>pooling >>networks >>garmentnets >>rig >>frame >>budget >>kit
+               >>garment >>dressed >>blend                                             (how it works)
     STUDENTS   follow the MAP through the *_ref functions; each cites its equation. Build with DN_NO_SIMD and
                they are what runs (of pooling's contraction still the fast form, tested equal to its _ref).
 */
@@ -160,9 +160,12 @@ typedef enum dn_feature { DN_POSITION, DN_RELATIVE, DN_NORMAL, DN_GEODESIC, DN_D
 /* What weights and rows are made of. The first layers (pre.*) and the last (out) are float32 in all of them. */
 typedef enum dn_precision {
    DN_PRECISION_F32,
+   DN_PRECISION_F16,  /* weights IEEE half, rows float32 */
+   DN_PRECISION_BF16, /* weights and rows bfloat16, sums float32 */
+   DN_PRECISION_INT8, /* weights and rows 8 bits, sums int32; the file needs ranges (examples/calibrate) */
    DN_PRECISION_COUNT
 } dn_precision;
-DN_API const char *dn_precision_name(dn_precision precision); /* "f32"; "unknown" for others */
+DN_API const char *dn_precision_name(dn_precision precision); /* "f32", "f16", "bf16", "int8"; else "unknown" */
 
 typedef struct dn_model_options { /* zero-filled or NULL: float32, the fastest kernel here */
    dn_precision precision;
@@ -4315,11 +4318,16 @@ static void dn__product_ref(const dn_linear *l, const float *x, size_t x_stride,
       #if !defined(_WIN32) || defined(__clang__)
          #include <cpuid.h>
          #define DN__HAS_AVX2
-         #define DN__TARGET_AVX2 __attribute__((target("avx2,fma")))
+         #define DN__TARGET_AVX2 __attribute__((target("avx2,fma,f16c")))
          #define DN__TARGET_AVX2_UNFUSED __attribute__((target("avx2"))) /* gcc fuses intrinsics where it may */
          #if defined(__x86_64__) /* the 32 registers that its tile fills exist in 64-bit mode only */
             #define DN__HAS_AVX512
-            #define DN__TARGET_AVX512 __attribute__((target("avx2,fma,avx512f,avx512vl,avx512dq,avx512bw")))
+            #define DN__TARGET_AVX512 __attribute__((target("avx2,fma,f16c,avx512f,avx512vl,avx512dq,avx512bw")))
+            #if (defined(__clang__) && __clang_major__ >= 9) || (!defined(__clang__) && __GNUC__ >= 10)
+               #define DN__HAS_VNNI /* and bfloat16 products; beside the kernel, asked for on their own */
+               #define DN__TARGET_VNNI __attribute__((target("avx2,fma,f16c,avx512f,avx512vl,avx512dq,avx512bw,avx512vnni")))
+               #define DN__TARGET_BF16 __attribute__((target("avx2,fma,f16c,avx512f,avx512vl,avx512dq,avx512bw,avx512bf16")))
+            #endif
          #endif
       #endif
    #endif
@@ -5022,18 +5030,18 @@ static void dn__tile_f4(const float *x, size_t x_stride, size_t in, const float 
 static const dn__kernel *dn__kernel_of(dn_kernel kernel); /* NULL: the reference */
 
 #ifdef DN__HAS_AVX2
-static void dn__cpuid(unsigned leaf, unsigned out[4])
+static void dn__cpuid(unsigned leaf, unsigned part, unsigned out[4])
 {
    #if defined(_MSC_VER) && !defined(__clang__)
    int r[4];
-   __cpuidex(r, (int)leaf, 0);
+   __cpuidex(r, (int)leaf, (int)part);
    memcpy(out, r, 16);
    #elif defined(__x86_64__)
    /* not cpuid.h's macro: clang 14's may put %1 into the register of the leaf (no early clobber) */
    __asm__ __volatile__("xchgq %%rbx, %q1\n\tcpuid\n\txchgq %%rbx, %q1"
-                        : "=a"(out[0]), "=&r"(out[1]), "=c"(out[2]), "=d"(out[3]) : "0"(leaf), "2"(0));
+                        : "=a"(out[0]), "=&r"(out[1]), "=c"(out[2]), "=d"(out[3]) : "0"(leaf), "2"(part));
    #else
-   __cpuid_count(leaf, 0, out[0], out[1], out[2], out[3]);
+   __cpuid_count(leaf, part, out[0], out[1], out[2], out[3]);
    #endif
 }
 static unsigned dn__xgetbv(void) /* which registers the system saves: bits 1, 2 SSE, AVX; 5, 6, 7 AVX-512 */
@@ -5049,15 +5057,15 @@ static unsigned dn__xgetbv(void) /* which registers the system saves: bits 1, 2 
 }
 static int dn__cpu_has(dn_kernel kernel) /* DN_KERNEL_AVX2 or DN_KERNEL_AVX512 */
 {
-   const unsigned osxsave = 1u << 27, fma = 1u << 12, avx = 1u << 28, avx2 = 1u << 5;
+   const unsigned osxsave = 1u << 27, fma = 1u << 12, avx = 1u << 28, f16c = 1u << 29, avx2 = 1u << 5;
    const unsigned avx512 = 1u << 16 | 1u << 17 | 1u << 30 | 1u << 31; /* F, DQ, BW, VL */
    unsigned r[4], saved;
-   dn__cpuid(0, r);
+   dn__cpuid(0, 0, r);
    if (r[0] < 7) return 0;
-   dn__cpuid(1, r);
-   if ((r[2] & (osxsave | fma | avx)) != (osxsave | fma | avx)) return 0;
+   dn__cpuid(1, 0, r);
+   if ((r[2] & (osxsave | fma | avx | f16c)) != (osxsave | fma | avx | f16c)) return 0;
    saved = dn__xgetbv();
-   dn__cpuid(7, r);
+   dn__cpuid(7, 0, r);
    if ((saved & 0x06) != 0x06 || !(r[1] & avx2)) return 0;
    return kernel == DN_KERNEL_AVX2 || ((saved & 0xe6) == 0xe6 && (r[1] & avx512) == avx512);
 }
@@ -5090,7 +5098,7 @@ DN_API const char *dn_kernel_name(dn_kernel kernel)
 }
 DN_API const char *dn_precision_name(dn_precision precision)
 {
-   static const char *const names[] = { "f32" };
+   static const char *const names[] = { "f32", "f16", "bf16", "int8" };
    return (unsigned)precision < (unsigned)DN_PRECISION_COUNT ? names[precision] : "unknown";
 }
 
@@ -6281,6 +6289,1389 @@ DN_API void dn_dense_run(const dn_gat *blocks, size_t count, const dn_graph *g, 
    }
 }
 
+/* ===================================================================================== >>reduced
+   in       rows of cells (bfloat16, 8-bit or float32), one layer or block packed at that precision
+   out      rows of cells; of a block also its z, IEEE half (float32 where weights alone are reduced)
+   touches  nothing but what it is told to write: no allocation, no statics
+   read     dn__tile_ref, dn__finish_ref, dn__reduced_attend_ref first; every fast text below is one of these again
+
+   precision   weights               rows                  sums
+   f16         half                  float32               float32: as in >>kernels, at half the memory
+   bf16        bfloat16              bfloat16              float32
+   int8        8 bits, a scale for   8 bits, a range for   int32, exact: |sum| < 127^2 2^16 (DN_MAX_DIM) fits
+               each output           each column
+
+   A column of 8-bit cells stands for  x = middle + step (cell - 128),  cell = 1 .. 255  (0 in tests alone). Per output o
+
+        sum_c W_oc x_c = sum_c W_oc middle_c + sum_c (W_oc step_c) (cell_c - 128)
+                         `---- start_o ----'         `- scale_o w_oc -'
+
+   w_oc the nearest whole number within +-127; sum_c w_oc (cell_c - 128) = sum_c w_oc cell_c - 128 sum_c w_oc, the last of
+   which is packed as `minus`, since what multiplies 8 bits fastest (vpdpbusd) takes cells without a sign. Batch norm joins
+   scale and start.
+   The int32 sums are the same in every text. So are the steps in floats after them (scale, activation, attention, the next
+   rounding to cells): one order, each product rounded before it is added, no fused multiply-add, polynomials of the four
+   operations. A block of 8-bit rows gives the same bits in every kernel. */
+typedef enum dn__cell { DN__FLOAT, DN__HALF, DN__BF16, DN__BYTE } dn__cell;
+static size_t dn__cell_size(dn__cell cell) { return cell == DN__FLOAT ? 4 : cell == DN__BYTE ? 1 : 2; }
+
+static size_t dn__precision_size(dn_precision precision) { return precision == DN_PRECISION_INT8 ? 1 : 2; } /* of a weight */
+static dn__cell dn__precision_cell(dn_precision precision) /* of rows */
+{
+   return precision == DN_PRECISION_INT8 ? DN__BYTE : precision == DN_PRECISION_BF16 ? DN__BF16 : DN__FLOAT;
+}
+
+typedef struct dn__reduced_text dn__reduced_text;
+typedef struct dn__reduced { /* a linear layer (heads 0) or a GAT block */
+   dn_precision precision;
+   const dn__reduced_text *text;
+   size_t in, out, heads, features, self; /* out = heads features + self; of a linear layer, self = out */
+   dn_activation activation;   /* not softmax */
+   dn__cell from, to;          /* of the rows read and written */
+   dn__cell z;                 /* of a block's z: half, its logits float; or float, logits among them as in >>attention */
+   size_t z_panels, panels;    /* z panels, logits' panels, then those of the columns written to y */
+   const unsigned char *weights; /* (panels, in rounded up to the group, 16): groups of terms, see dn__reduced_at */
+   const float *columns;       /* (panels, 2, 16) scale, shift: y = act(sum scale + shift) */
+   const int32_t *minus;       /* (panels, 16) -128 sum_c w; 8 bits only, else NULL */
+   const uint32_t *head;       /* (z_panels 16) the head of each column of z */
+   const float *inverse, *offset; /* (out + at least 16) cell = nearest(y inverse + offset) of 8-bit rows written */
+} dn__reduced;
+struct dn__reduced_text {
+   size_t group;  /* terms that lie side by side in a panel */
+   size_t rows;   /* of a tile */
+   size_t panels; /* side by side, at most */
+   size_t cell;   /* bytes of a row's term as the tile reads it; wider than the row's own cell: `widen` makes them */
+   /* count terms from x -> to (rows, count rounded up to the group) */
+   void (*widen)(const unsigned char *x, size_t pitch, size_t rows, size_t count, unsigned char *to, size_t to_pitch);
+   /* sums (panels, rows, 16) float or int32 over `in` terms; w_pitch bytes from panel to panel; minus: what 8-bit sums
+      start from; more: they go on from what is there */
+   void (*tile)(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, size_t w_pitch,
+                const int32_t *minus, int more, size_t panels, void *sums);
+   /* cells of sums (rows,16): y (rows, count <= 16) */
+   void (*finish)(const void *sums, int whole, const float *columns, dn_activation activation, size_t rows,
+                  unsigned char *y, size_t pitch, size_t count, dn__cell cell, const float *inverse, const float *offset);
+   /* count numbers of a row as cells */
+   void (*cells)(const float *x, size_t count, unsigned char *y, dn__cell cell, const float *inverse, const float *offset);
+   /* z of node n is row (n & mask), y starts with node `begin` */
+   void (*attend)(const dn__reduced *b, const dn_graph *g, const unsigned char *z, size_t z_pitch, size_t mask,
+                  unsigned char *y, size_t y_pitch, size_t begin, size_t end);
+};
+enum { DN__WIDENED = 256, DN__REDUCED_ROWS = 14 }; /* terms that `widen` makes at a time; rows of the highest tile */
+typedef struct dn__span { /* what the 8-bit cells of a row's columns stand for: (width) each; NULL while measuring */
+   size_t width;
+   const float *middle, *step, *inverse, *offset; /* the last two (width + at least 16), see dn__reduced */
+} dn__span;
+
+/* --- single numbers. A product that must be rounded before it is added passes dn__times: compilers may fuse the two, gcc
+   even where both are intrinsics. */
+#if defined(__GNUC__) || defined(__clang__)
+   #define DN__ROUNDED(x, where) __asm__("" : "+" where(x))
+#else
+   #define DN__ROUNDED(x, where) (void)0
+#endif
+static float dn__times(float a, float b)
+{
+   float p = a * b;
+   DN__ROUNDED(p, "m");
+   return p;
+}
+static float dn__plus(float a, float b) /* the same of a sum, where registers are wider than a float (x87) */
+{
+   float s = a + b;
+   DN__ROUNDED(s, "m");
+   return s;
+}
+static float dn__float_of(uint32_t bits)
+{
+   float x;
+   memcpy(&x, &bits, 4);
+   return x;
+}
+static uint32_t dn__bits_of(float x)
+{
+   uint32_t u;
+   memcpy(&u, &x, 4);
+   return u;
+}
+static unsigned dn__half_of(float x) /* to the nearest half, ties to even; beyond 65504 saturates, NaN stays NaN */
+{
+   uint32_t u, sign;
+   if (dn__nan(x)) return 0x7e00u;
+   x = x > 65504.0f ? 65504.0f : x < -65504.0f ? -65504.0f : x;
+   u = dn__bits_of(x);
+   sign = u >> 16 & 0x8000u;
+   u &= 0x7fffffffu;
+   if (u < 0x38800000u) /* 2^-14: below, a half counts 2^-24s, which are the last bits of a float that begins at 0.5 */
+      return sign | (dn__bits_of(dn__plus(dn__float_of(u), 0.5f)) - 0x3f000000u);
+   return sign | ((u + 0xc8000fffu + (u >> 13 & 1u)) >> 13);
+}
+static unsigned dn__bf16_of(float x) /* to the nearest, ties to even; NaN stays NaN */
+{
+   uint32_t u = dn__bits_of(x);
+   if (dn__nan(x)) return 0x7fc0u;
+   return (u + 0x7fffu + (u >> 16 & 1u)) >> 16;
+}
+#define DN__WHOLE 12582912.0f /* 1.5 2^23: adding it rounds |x| < 2^22 to a whole number, ties to even */
+static unsigned dn__byte_of(float y, float inverse, float offset) /* 1 .. 255; NaN gives 1 */
+{
+   float t = dn__plus(dn__times(y, inverse), offset);
+   t = t > 1.0f ? t : 1.0f;
+   t = t < 255.0f ? t : 255.0f;
+   return dn__bits_of(dn__plus(t, DN__WHOLE)) & 0xffu;
+}
+static uint32_t dn__read16(const unsigned char *p)
+{
+   uint16_t h;
+   memcpy(&h, p, 2);
+   return h;
+}
+static float dn__read_cell(const unsigned char *p, dn__cell cell) /* of 8 bits, the cell itself */
+{
+   float x;
+   switch (cell) {
+   case DN__HALF: return dn__float_of(dn__half_bits(dn__read16(p)));
+   case DN__BF16: return dn__float_of(dn__read16(p) << 16);
+   case DN__BYTE: return (float)*p;
+   case DN__FLOAT:
+   default: memcpy(&x, p, 4); return x;
+   }
+}
+static void dn__write_cell(unsigned char *p, float x, dn__cell cell, const float *inverse, const float *offset)
+{
+   uint16_t h;
+   switch (cell) {
+   case DN__HALF: h = (uint16_t)dn__half_of(x); memcpy(p, &h, 2); break;
+   case DN__BF16: h = (uint16_t)dn__bf16_of(x); memcpy(p, &h, 2); break;
+   case DN__BYTE: *p = (unsigned char)dn__byte_of(x, *inverse, *offset); break;
+   case DN__FLOAT:
+   default: memcpy(p, &x, 4); break;
+   }
+}
+
+/* exp(x), x <= 0: 2^n 2^f with n the nearest whole number to t = x log2 e and a polynomial in f, |f| <= 1/2, exactly 1 at
+   0. Relative error below 4e-6, a hundredth of what halves lose. Below 2^-126 it stays there, which adds nothing. */
+#define DN__EXP2_1 0.6931241750717163f
+#define DN__EXP2_2 0.24024099111557007f
+#define DN__EXP2_3 0.055906426161527634f
+#define DN__EXP2_4 0.009582852944731712f
+#define DN__EXP2_LOW (-126.0f)
+static float dn__reduced_exp(float x)
+{
+   float t = dn__times(x, DN__LOG2E), m, f, p;
+   t = t > DN__EXP2_LOW ? t : DN__EXP2_LOW;
+   m = dn__plus(t, DN__WHOLE); /* its last bits are n */
+   f = dn__plus(t, -dn__plus(m, -DN__WHOLE));
+   p = dn__plus(dn__times(DN__EXP2_4, f), DN__EXP2_3);
+   p = dn__plus(dn__times(p, f), DN__EXP2_2);
+   p = dn__plus(dn__times(p, f), DN__EXP2_1);
+   p = dn__plus(dn__times(p, f), 1.0f);
+   return dn__times(p, dn__float_of((dn__bits_of(m) << 23) + 0x3f800000u));
+}
+/* x - tanh x = x^3 (a0 + a1 x^2) / (1 + b1 x^2 + b2 x^4) for |x| <= 4.5, relative error 3e-5; from there on it goes on with
+   slope 1: tanh 4.5 = 0.99975. tanh is what remains. The errors are a hundredth of the rounding to bfloat16. */
+#define DN__SHRINK_MOST 4.5f
+#define DN__SHRINK_A0 0.333324f
+#define DN__SHRINK_A1 0.01317175f
+#define DN__SHRINK_B1 0.43938641f
+#define DN__SHRINK_B2 0.01396017f
+static float dn__reduced_tanh(float x, int shrink)
+{
+   float c = x < DN__SHRINK_MOST ? x : dn__nan(x) ? x : DN__SHRINK_MOST, z, s, d;
+   c = c < -DN__SHRINK_MOST ? -DN__SHRINK_MOST : c;
+   z = dn__times(c, c);
+   s = dn__times(dn__times(c, z), dn__plus(dn__times(z, DN__SHRINK_A1), DN__SHRINK_A0));
+   d = dn__plus(dn__times(dn__plus(dn__times(z, DN__SHRINK_B2), DN__SHRINK_B1), z), 1.0f);
+   s = s / d;
+   DN__ROUNDED(s, "m");
+   return shrink ? dn__plus(s, dn__plus(x, -c)) : dn__plus(c, -s);
+}
+static float dn__reduced_leaky(float x) { return x < 0 ? dn__times(0.2f, x) : x; }
+static float dn__reduced_activate(float x, dn_activation activation)
+{
+   switch (activation) {
+   case DN_ACT_TANH: return dn__reduced_tanh(x, 0);
+   case DN_ACT_TANHSHRINK: return dn__reduced_tanh(x, 1);
+   case DN_ACT_LEAKYRELU: return dn__reduced_leaky(x);
+   case DN_ACT_RELU: return x < 0 ? 0 : x;
+   case DN_ACT_NONE:
+   case DN_ACT_SOFTMAX:
+   default: return x;
+   }
+}
+
+/* --- the plain texts */
+/* Where term c of a column lies in its panel, in terms: groups of `group` terms, in each of them column by column */
+static size_t dn__reduced_at(size_t group, size_t column, size_t c)
+{
+   return (c / group * DN_PANEL + column) * group + c % group;
+}
+static void dn__tile_ref_bytes(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, size_t w_pitch,
+                               const int32_t *minus, int more, size_t panels, void *sums)
+{
+   int32_t *to = (int32_t *)sums;
+   size_t o, c;
+   (void)pitch, (void)w_pitch, (void)more, (void)panels;
+   for (o = 0; o < DN_PANEL; o++) {
+      uint32_t sum = (uint32_t)minus[o]; /* on its way the sum may wrap; in the end it fits */
+      for (c = 0; c < in; c++) sum += (uint32_t)((int32_t)x[c] * (int32_t)(signed char)w[c * DN_PANEL + o]);
+      memcpy(to + o, &sum, 4);
+   }
+}
+static void dn__tile_ref_floats(const unsigned char *x, dn__cell cell, size_t in, const unsigned char *w, dn__cell weight,
+                                float *sums)
+{
+   size_t o, c;
+   for (o = 0; o < DN_PANEL; o++) {
+      double sum = 0;
+      for (c = 0; c < in; c++)
+         sum += (double)dn__read_cell(x + c * dn__cell_size(cell), cell) *
+            (double)dn__read_cell(w + 2 * (c * DN_PANEL + o), weight);
+      sums[o] = dn__narrow(sum);
+   }
+}
+static void dn__tile_ref_bf16(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, size_t w_pitch,
+                              const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)pitch, (void)w_pitch, (void)minus, (void)more, (void)panels;
+   dn__tile_ref_floats(x, DN__BF16, in, w, DN__BF16, (float *)sums);
+}
+static void dn__tile_ref_half(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, size_t w_pitch,
+                              const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)pitch, (void)w_pitch, (void)minus, (void)more, (void)panels;
+   dn__tile_ref_floats(x, DN__FLOAT, in, w, DN__HALF, (float *)sums);
+}
+static void dn__finish_ref(const void *sums, int whole, const float *columns, dn_activation activation, size_t rows,
+                           unsigned char *y, size_t pitch, size_t count, dn__cell cell, const float *inverse,
+                           const float *offset)
+{
+   size_t r, o;
+   for (r = 0; r < rows; r++)
+      for (o = 0; o < count; o++) {
+         size_t at = r * DN_PANEL + o;
+         float u = whole ? dn__plus((float)((const int32_t *)sums)[at], 0.0f) : ((const float *)sums)[at];
+         u = dn__plus(dn__times(u, columns[o]), columns[DN_PANEL + o]);
+         dn__write_cell(y + r * pitch + o * dn__cell_size(cell), dn__reduced_activate(u, activation), cell,
+                        inverse ? inverse + o : NULL, offset ? offset + o : NULL);
+      }
+}
+static void dn__cells_ref(const float *x, size_t count, unsigned char *y, dn__cell cell, const float *inverse, const float *offset)
+{
+   size_t c;
+   for (c = 0; c < count; c++)
+      dn__write_cell(y + c * dn__cell_size(cell), x[c], cell, inverse ? inverse + c : NULL, offset ? offset + c : NULL);
+}
+static size_t dn__logits_at(const dn__reduced *b) { return b->z_panels * DN_PANEL * 2; } /* bytes from a row's start */
+/* y_i = act( sum_j e_ij z_j / sum_j e_ij ), e_ij = exp(leaky(dst . z_i + src . z_j) - max): dn__attend_ref on halves. The
+   differences that it takes for the sake of float32's last digits would be lost here. */
+static void dn__reduced_attend_ref(const dn__reduced *b, const dn_graph *g, const unsigned char *z, size_t z_pitch,
+                                   size_t mask, unsigned char *y, size_t y_pitch, size_t begin, size_t end)
+{
+   size_t i, j, k, f, size = dn__cell_size(b->to);
+   for (i = begin; i < end; i++) {
+      size_t count = (size_t)(g->first[i + 1] - g->first[i]) + 1;
+      for (k = 0; k < b->heads; k++) {
+         const unsigned char *dst = z + dn__logits_at(b) + 4 * k, *src = dst + 4 * b->heads; /* rows z_pitch apart */
+         float own = dn__read_cell(dst + (i & mask) * z_pitch, DN__FLOAT), most = 0;
+         for (j = 0; j < count; j++) {
+            float s = dn__read_cell(src + (dn__member(g, i, j) & mask) * z_pitch, DN__FLOAT);
+            most = j == 0 || s > most ? s : most;
+         }
+         most = dn__reduced_leaky(dn__plus(own, most));
+         for (f = 0; f < b->features; f++) {
+            size_t c = k * b->features + f;
+            float all = 0, sum = 0;
+            for (j = 0; j < count; j++) {
+               const unsigned char *row = z + (dn__member(g, i, j) & mask) * z_pitch;
+               float s = dn__read_cell(src + (dn__member(g, i, j) & mask) * z_pitch, DN__FLOAT);
+               float e = dn__reduced_exp(dn__plus(dn__reduced_leaky(dn__plus(own, s)), -most));
+               all = dn__plus(all, e);
+               sum = dn__plus(sum, dn__times(e, dn__read_cell(row + 2 * c, DN__HALF)));
+            }
+            all = 1.0f / all;
+            DN__ROUNDED(all, "m");
+            dn__write_cell(y + (i - begin) * y_pitch + c * size, dn__reduced_activate(dn__times(sum, all), b->activation),
+                           b->to, b->inverse ? b->inverse + c : NULL, b->offset ? b->offset + c : NULL);
+         }
+      }
+   }
+}
+
+/* --- the fast texts of the steps in floats: one text over the operations of a register type v16, v8 or v4 (AVX-512; AVX2;
+   SSE2, NEON or WebAssembly), so that all of them are the same to the last bit. Of max and min the second operand counts
+   where one is NaN. */
+#ifdef DN__HAS_AVX2
+typedef __m256 dn__v8;
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_load(const float *p) { return _mm256_loadu_ps(p); }
+DN__TARGET_AVX2 static DN__INLINE void dn__v8_store(float *p, dn__v8 a) { _mm256_storeu_ps(p, a); }
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_all(float a) { return _mm256_set1_ps(a); }
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_add(dn__v8 a, dn__v8 b) { return _mm256_add_ps(a, b); }
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_sub(dn__v8 a, dn__v8 b) { return _mm256_sub_ps(a, b); }
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_mul(dn__v8 a, dn__v8 b)
+{
+   a = _mm256_mul_ps(a, b);
+   DN__ROUNDED(a, "x");
+   return a;
+}
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_div(dn__v8 a, dn__v8 b) { return _mm256_div_ps(a, b); }
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_max(dn__v8 a, dn__v8 b) { return _mm256_max_ps(a, b); }
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_min(dn__v8 a, dn__v8 b) { return _mm256_min_ps(a, b); }
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_power(dn__v8 m) /* 2^n from n + DN__WHOLE */
+{
+   __m256i n = _mm256_slli_epi32(_mm256_castps_si256(m), 23);
+   return _mm256_castsi256_ps(_mm256_add_epi32(n, _mm256_set1_epi32(0x3f800000)));
+}
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_ints(const int32_t *p)
+{
+   return _mm256_cvtepi32_ps(_mm256_loadu_si256((const __m256i *)(const void *)p));
+}
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_halves(const unsigned char *p)
+{
+   return _mm256_cvtph_ps(_mm_loadu_si128((const __m128i *)(const void *)p));
+}
+DN__TARGET_AVX2 static DN__INLINE void dn__v8_put_halves(unsigned char *p, dn__v8 a)
+{
+   _mm_storeu_si128((__m128i *)(void *)p, _mm256_cvtps_ph(a, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC));
+}
+DN__TARGET_AVX2 static DN__INLINE void dn__v8_put_bf16(unsigned char *p, dn__v8 a) /* dn__bf16_of */
+{
+   __m256i u = _mm256_castps_si256(a), odd = _mm256_and_si256(_mm256_srli_epi32(u, 16), _mm256_set1_epi32(1));
+   __m256i none = _mm256_castps_si256(_mm256_cmp_ps(a, a, _CMP_UNORD_Q));
+   u = _mm256_add_epi32(_mm256_add_epi32(u, _mm256_set1_epi32(0x7fff)), odd);
+   u = _mm256_srli_epi32(_mm256_blendv_epi8(u, _mm256_set1_epi32(0x7fc00000), none), 16);
+   _mm_storeu_si128((__m128i *)(void *)p, _mm_packus_epi32(_mm256_castsi256_si128(u), _mm256_extracti128_si256(u, 1)));
+}
+DN__TARGET_AVX2 static DN__INLINE void dn__v8_put_bytes(unsigned char *p, dn__v8 a) /* whole, 0 .. 255 */
+{
+   __m256i u = _mm256_cvtps_epi32(a);
+   __m128i h = _mm_packs_epi32(_mm256_castsi256_si128(u), _mm256_extracti128_si256(u, 1));
+   _mm_storel_epi64((__m128i *)(void *)p, _mm_packus_epi16(h, h));
+}
+typedef struct dn__v8_heads { __m256i h; int same; } dn__v8_heads;
+DN__TARGET_AVX2 static DN__INLINE dn__v8_heads dn__v8_head(const uint32_t *head, size_t features)
+{
+   dn__v8_heads h;
+   h.h = _mm256_loadu_si256((const __m256i *)(const void *)head);
+   h.same = 0;
+   (void)features;
+   return h;
+}
+DN__TARGET_AVX2 static DN__INLINE dn__v8 dn__v8_draw(const float *e, dn__v8_heads h) /* e of each column's head */
+{
+   return _mm256_permutevar8x32_ps(_mm256_loadu_ps(e), h.h);
+}
+#endif
+#ifdef DN__HAS_AVX512
+typedef __m512 dn__v16;
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_load(const float *p) { return _mm512_loadu_ps(p); }
+DN__TARGET_AVX512 static DN__INLINE void dn__v16_store(float *p, dn__v16 a) { _mm512_storeu_ps(p, a); }
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_all(float a) { return _mm512_set1_ps(a); }
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_add(dn__v16 a, dn__v16 b) { return _mm512_add_ps(a, b); }
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_sub(dn__v16 a, dn__v16 b) { return _mm512_sub_ps(a, b); }
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_mul(dn__v16 a, dn__v16 b)
+{
+   a = _mm512_mul_ps(a, b);
+   DN__ROUNDED(a, "v");
+   return a;
+}
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_div(dn__v16 a, dn__v16 b) { return _mm512_div_ps(a, b); }
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_max(dn__v16 a, dn__v16 b) { return _mm512_maskz_max_ps(DN__ALL, a, b); }
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_min(dn__v16 a, dn__v16 b) { return _mm512_maskz_min_ps(DN__ALL, a, b); }
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_power(dn__v16 m)
+{
+   __m512i n = _mm512_maskz_slli_epi32(DN__ALL, _mm512_castps_si512(m), 23);
+   return _mm512_castsi512_ps(_mm512_add_epi32(n, _mm512_set1_epi32(0x3f800000)));
+}
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_ints(const int32_t *p)
+{
+   return _mm512_maskz_cvtepi32_ps(DN__ALL, _mm512_loadu_si512(p));
+}
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_halves(const unsigned char *p)
+{
+   return _mm512_maskz_cvtph_ps(DN__ALL, _mm256_loadu_si256((const __m256i *)(const void *)p));
+}
+DN__TARGET_AVX512 static DN__INLINE void dn__v16_put_halves(unsigned char *p, dn__v16 a)
+{
+   _mm256_storeu_si256((__m256i *)(void *)p,
+                       _mm512_maskz_cvtps_ph(DN__ALL, a, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC));
+}
+DN__TARGET_AVX512 static DN__INLINE void dn__v16_put_bf16(unsigned char *p, dn__v16 a)
+{
+   __m512i u = _mm512_castps_si512(a), odd;
+   __mmask16 none = _mm512_cmp_ps_mask(a, a, _CMP_UNORD_Q);
+   odd = _mm512_and_si512(_mm512_maskz_srli_epi32(DN__ALL, u, 16), _mm512_set1_epi32(1));
+   u = _mm512_add_epi32(_mm512_add_epi32(u, _mm512_set1_epi32(0x7fff)), odd);
+   u = _mm512_mask_mov_epi32(u, none, _mm512_set1_epi32(0x7fc00000));
+   u = _mm512_maskz_srli_epi32(DN__ALL, u, 16);
+   _mm256_storeu_si256((__m256i *)(void *)p, _mm512_maskz_cvtepi32_epi16(DN__ALL, u));
+}
+DN__TARGET_AVX512 static DN__INLINE void dn__v16_put_bytes(unsigned char *p, dn__v16 a)
+{
+   _mm_storeu_si128((__m128i *)(void *)p, _mm512_maskz_cvtepi32_epi8(DN__ALL, _mm512_maskz_cvtps_epi32(DN__ALL, a)));
+}
+typedef struct dn__v16_heads { __m512i h; int same; } dn__v16_heads;
+DN__TARGET_AVX512 static DN__INLINE dn__v16_heads dn__v16_head(const uint32_t *head, size_t features)
+{
+   dn__v16_heads h;
+   h.h = _mm512_loadu_si512(head);
+   h.same = 0;
+   (void)features;
+   return h;
+}
+DN__TARGET_AVX512 static DN__INLINE dn__v16 dn__v16_draw(const float *e, dn__v16_heads h)
+{
+   return _mm512_maskz_permutexvar_ps(DN__ALL, h.h, _mm512_castps256_ps512(_mm256_loadu_ps(e)));
+}
+#endif
+#ifdef DN__HAS_F4
+/* whole numbers, four lanes */
+   #if defined(DN__F4_NEON)
+typedef int32x4_t dn__i4;
+static DN__INLINE dn__i4 dn__i4_of(dn__f4 a) { return vreinterpretq_s32_f32(a); }
+static DN__INLINE dn__f4 dn__i4_bits(dn__i4 a) { return vreinterpretq_f32_s32(a); }
+static DN__INLINE dn__i4 dn__i4_load(const void *p) { return vld1q_s32((const int32_t *)p); }
+static DN__INLINE void dn__i4_store(void *p, dn__i4 a) { vst1q_s32((int32_t *)p, a); }
+static DN__INLINE dn__i4 dn__i4_all(int a) { return vdupq_n_s32(a); }
+static DN__INLINE dn__i4 dn__i4_add(dn__i4 a, dn__i4 b) { return vaddq_s32(a, b); }
+static DN__INLINE dn__i4 dn__i4_and(dn__i4 a, dn__i4 b) { return vandq_s32(a, b); }
+static DN__INLINE dn__i4 dn__i4_or(dn__i4 a, dn__i4 b) { return vorrq_s32(a, b); }
+static DN__INLINE dn__i4 dn__i4_up(dn__i4 a, int n) { return vshlq_s32(a, vdupq_n_s32(n)); }
+static DN__INLINE dn__i4 dn__i4_down(dn__i4 a, int n) /* zeros come in */
+{
+   return vreinterpretq_s32_u32(vshlq_u32(vreinterpretq_u32_s32(a), vdupq_n_s32(-n)));
+}
+static DN__INLINE dn__i4 dn__i4_more(dn__i4 a, dn__i4 b) { return vreinterpretq_s32_u32(vcgtq_s32(a, b)); }
+static DN__INLINE dn__f4 dn__i4_float(dn__i4 a) { return vcvtq_f32_s32(a); }
+static DN__INLINE dn__i4 dn__i4_nearest(dn__f4 a) { return vcvtnq_s32_f32(a); }
+static DN__INLINE dn__i4 dn__i4_load16(const unsigned char *p)
+{
+   return vreinterpretq_s32_u32(vmovl_u16(vreinterpret_u16_u8(vld1_u8(p))));
+}
+static DN__INLINE void dn__i4_store16(unsigned char *p, dn__i4 a)
+{
+   vst1_u8(p, vreinterpret_u8_u16(vmovn_u32(vreinterpretq_u32_s32(a))));
+}
+static DN__INLINE dn__f4 dn__f4_rounded(dn__f4 a)
+{
+   DN__ROUNDED(a, "w");
+   return a;
+}
+/* eight products of terms of 16 bits, side by side pairs added: sum of (4) pairs */
+static DN__INLINE dn__i4 dn__i4_pairs(dn__i4 sum, dn__i4 x, dn__i4 w)
+{
+   int16x8_t a = vreinterpretq_s16_s32(x), b = vreinterpretq_s16_s32(w);
+   int32x4_t low = vmull_s16(vget_low_s16(a), vget_low_s16(b)), high = vmull_s16(vget_high_s16(a), vget_high_s16(b));
+   return vaddq_s32(sum, vcombine_s32(vpadd_s32(vget_low_s32(low), vget_high_s32(low)),
+                                      vpadd_s32(vget_low_s32(high), vget_high_s32(high))));
+}
+static DN__INLINE void dn__i4_widen8(const unsigned char *p, dn__i4 *low, dn__i4 *high) /* 16 signed bytes to 16 bits each */
+{
+   int8x16_t b = vreinterpretq_s8_u8(vld1q_u8(p));
+   *low = vreinterpretq_s32_s16(vmovl_s8(vget_low_s8(b)));
+   *high = vreinterpretq_s32_s16(vmovl_s8(vget_high_s8(b)));
+}
+   #elif defined(DN__F4_WASM)
+typedef v128_t dn__i4;
+static DN__INLINE dn__i4 dn__i4_of(dn__f4 a) { return a; }
+static DN__INLINE dn__f4 dn__i4_bits(dn__i4 a) { return a; }
+static DN__INLINE dn__i4 dn__i4_load(const void *p) { return wasm_v128_load(p); }
+static DN__INLINE void dn__i4_store(void *p, dn__i4 a) { wasm_v128_store(p, a); }
+static DN__INLINE dn__i4 dn__i4_all(int a) { return wasm_i32x4_splat(a); }
+static DN__INLINE dn__i4 dn__i4_add(dn__i4 a, dn__i4 b) { return wasm_i32x4_add(a, b); }
+static DN__INLINE dn__i4 dn__i4_and(dn__i4 a, dn__i4 b) { return wasm_v128_and(a, b); }
+static DN__INLINE dn__i4 dn__i4_or(dn__i4 a, dn__i4 b) { return wasm_v128_or(a, b); }
+static DN__INLINE dn__i4 dn__i4_up(dn__i4 a, int n) { return wasm_i32x4_shl(a, (unsigned)n); }
+static DN__INLINE dn__i4 dn__i4_down(dn__i4 a, int n) { return wasm_u32x4_shr(a, (unsigned)n); }
+static DN__INLINE dn__i4 dn__i4_more(dn__i4 a, dn__i4 b) { return wasm_i32x4_gt(a, b); }
+static DN__INLINE dn__f4 dn__i4_float(dn__i4 a) { return wasm_f32x4_convert_i32x4(a); }
+static DN__INLINE dn__i4 dn__i4_nearest(dn__f4 a) { return wasm_i32x4_trunc_sat_f32x4(wasm_f32x4_nearest(a)); }
+static DN__INLINE dn__i4 dn__i4_load16(const unsigned char *p) { return wasm_u32x4_load16x4(p); }
+static DN__INLINE void dn__i4_store16(unsigned char *p, dn__i4 a)
+{
+   wasm_v128_store64_lane(p, wasm_u16x8_narrow_i32x4(a, a), 0);
+}
+static DN__INLINE dn__f4 dn__f4_rounded(dn__f4 a) { return a; }
+static DN__INLINE dn__i4 dn__i4_pairs(dn__i4 sum, dn__i4 x, dn__i4 w)
+{
+   return wasm_i32x4_add(sum, wasm_i32x4_dot_i16x8(x, w));
+}
+static DN__INLINE void dn__i4_widen8(const unsigned char *p, dn__i4 *low, dn__i4 *high)
+{
+   v128_t b = wasm_v128_load(p);
+   *low = wasm_i16x8_extend_low_i8x16(b);
+   *high = wasm_i16x8_extend_high_i8x16(b);
+}
+   #else
+typedef __m128i dn__i4;
+static DN__INLINE dn__i4 dn__i4_of(dn__f4 a) { return _mm_castps_si128(a); }
+static DN__INLINE dn__f4 dn__i4_bits(dn__i4 a) { return _mm_castsi128_ps(a); }
+static DN__INLINE dn__i4 dn__i4_load(const void *p) { return _mm_loadu_si128((const __m128i *)p); }
+static DN__INLINE void dn__i4_store(void *p, dn__i4 a) { _mm_storeu_si128((__m128i *)p, a); }
+static DN__INLINE dn__i4 dn__i4_all(int a) { return _mm_set1_epi32(a); }
+static DN__INLINE dn__i4 dn__i4_add(dn__i4 a, dn__i4 b) { return _mm_add_epi32(a, b); }
+static DN__INLINE dn__i4 dn__i4_and(dn__i4 a, dn__i4 b) { return _mm_and_si128(a, b); }
+static DN__INLINE dn__i4 dn__i4_or(dn__i4 a, dn__i4 b) { return _mm_or_si128(a, b); }
+static DN__INLINE dn__i4 dn__i4_up(dn__i4 a, int n) { return _mm_slli_epi32(a, n); }
+static DN__INLINE dn__i4 dn__i4_down(dn__i4 a, int n) { return _mm_srli_epi32(a, n); }
+static DN__INLINE dn__i4 dn__i4_more(dn__i4 a, dn__i4 b) { return _mm_cmpgt_epi32(a, b); }
+static DN__INLINE dn__f4 dn__i4_float(dn__i4 a) { return _mm_cvtepi32_ps(a); }
+static DN__INLINE dn__i4 dn__i4_nearest(dn__f4 a) { return _mm_cvtps_epi32(a); }
+static DN__INLINE dn__i4 dn__i4_load16(const unsigned char *p)
+{
+   return _mm_unpacklo_epi16(_mm_loadl_epi64((const __m128i *)(const void *)p), _mm_setzero_si128());
+}
+static DN__INLINE void dn__i4_store16(unsigned char *p, dn__i4 a)
+{
+   a = _mm_srai_epi32(_mm_slli_epi32(a, 16), 16); /* so that packing with signs keeps the bits */
+   _mm_storel_epi64((__m128i *)(void *)p, _mm_packs_epi32(a, a));
+}
+static DN__INLINE dn__f4 dn__f4_rounded(dn__f4 a)
+{
+   DN__ROUNDED(a, "x");
+   return a;
+}
+static DN__INLINE dn__i4 dn__i4_pairs(dn__i4 sum, dn__i4 x, dn__i4 w) { return _mm_add_epi32(sum, _mm_madd_epi16(x, w)); }
+static DN__INLINE void dn__i4_widen8(const unsigned char *p, dn__i4 *low, dn__i4 *high)
+{
+   __m128i b = _mm_loadu_si128((const __m128i *)(const void *)p);
+   *low = _mm_srai_epi16(_mm_unpacklo_epi8(b, b), 8);
+   *high = _mm_srai_epi16(_mm_unpackhi_epi8(b, b), 8);
+}
+   #endif
+static DN__INLINE dn__i4 dn__i4_pick(dn__i4 mask, dn__i4 a, dn__i4 b) /* a where the mask is set */
+{
+   return dn__i4_or(dn__i4_and(mask, a), dn__i4_and(dn__i4_add(dn__i4_all(-1), dn__i4_and(mask, dn__i4_all(1))), b));
+}
+typedef dn__f4 dn__v4;
+static DN__INLINE dn__v4 dn__v4_load(const float *p) { return dn__f4_load(p); }
+static DN__INLINE void dn__v4_store(float *p, dn__v4 a) { dn__f4_store(p, a); }
+static DN__INLINE dn__v4 dn__v4_all(float a) { return dn__f4_all(a); }
+static DN__INLINE dn__v4 dn__v4_add(dn__v4 a, dn__v4 b) { return dn__f4_add(a, b); }
+static DN__INLINE dn__v4 dn__v4_sub(dn__v4 a, dn__v4 b) { return dn__f4_sub(a, b); }
+static DN__INLINE dn__v4 dn__v4_mul(dn__v4 a, dn__v4 b) { return dn__f4_rounded(dn__f4_mul(a, b)); }
+static DN__INLINE dn__v4 dn__v4_div(dn__v4 a, dn__v4 b) { return dn__f4_div(a, b); }
+static DN__INLINE dn__v4 dn__v4_max(dn__v4 a, dn__v4 b) { return dn__f4_max(a, b); }
+static DN__INLINE dn__v4 dn__v4_min(dn__v4 a, dn__v4 b) { return dn__f4_min(a, b); }
+static DN__INLINE dn__v4 dn__v4_power(dn__v4 m)
+{
+   return dn__i4_bits(dn__i4_add(dn__i4_up(dn__i4_of(m), 23), dn__i4_all(0x3f800000)));
+}
+static DN__INLINE dn__v4 dn__v4_ints(const int32_t *p) { return dn__i4_float(dn__i4_load(p)); }
+static DN__INLINE dn__v4 dn__v4_halves(const unsigned char *p) /* 2^112 puts the exponent right, denormal or not */
+{
+   dn__i4 h = dn__i4_load16(p), size = dn__i4_and(h, dn__i4_all(0x7fff)), u = dn__i4_up(size, 13);
+   u = dn__i4_of(dn__f4_mul(dn__i4_bits(u), dn__i4_bits(dn__i4_all(0x77800000))));
+   u = dn__i4_or(u, dn__i4_and(dn__i4_more(size, dn__i4_all(0x7bff)), dn__i4_all(0x7f800000))); /* infinite, NaN */
+   return dn__i4_bits(dn__i4_or(u, dn__i4_up(dn__i4_and(h, dn__i4_all(0x8000)), 16)));
+}
+static DN__INLINE void dn__v4_put_halves(unsigned char *p, dn__v4 a) /* dn__half_of */
+{
+   dn__i4 u = dn__i4_of(a), size = dn__i4_and(u, dn__i4_all(0x7fffffff)), sign, low, high;
+   sign = dn__i4_and(dn__i4_down(u, 16), dn__i4_all(0x8000));
+   low = dn__i4_add(dn__i4_of(dn__f4_add(dn__i4_bits(size), dn__f4_all(0.5f))), dn__i4_all(-0x3f000000));
+   high = dn__i4_add(size, dn__i4_and(dn__i4_down(size, 13), dn__i4_all(1)));
+   high = dn__i4_down(dn__i4_add(high, dn__i4_all((int)0xc8000fffu)), 13);
+   high = dn__i4_pick(dn__i4_more(size, dn__i4_all(0x7f800000)), dn__i4_all(0x7e00), high);
+   dn__i4_store16(p, dn__i4_or(sign, dn__i4_pick(dn__i4_more(dn__i4_all(0x38800000), size), low, high)));
+}
+static DN__INLINE void dn__v4_put_bf16(unsigned char *p, dn__v4 a)
+{
+   dn__i4 u = dn__i4_of(a), size = dn__i4_and(u, dn__i4_all(0x7fffffff)), odd;
+   odd = dn__i4_and(dn__i4_down(u, 16), dn__i4_all(1));
+   u = dn__i4_add(dn__i4_add(u, dn__i4_all(0x7fff)), odd);
+   u = dn__i4_pick(dn__i4_more(size, dn__i4_all(0x7f800000)), dn__i4_all(0x7fc00000), u);
+   dn__i4_store16(p, dn__i4_down(u, 16));
+}
+static DN__INLINE void dn__v4_put_bytes(unsigned char *p, dn__v4 a)
+{
+   int32_t n[4];
+   dn__i4_store(n, dn__i4_nearest(a));
+   p[0] = (unsigned char)n[0], p[1] = (unsigned char)n[1], p[2] = (unsigned char)n[2], p[3] = (unsigned char)n[3];
+}
+typedef struct dn__v4_heads { const uint32_t *h; int same; } dn__v4_heads;
+static DN__INLINE dn__v4_heads dn__v4_head(const uint32_t *head, size_t features)
+{
+   dn__v4_heads h;
+   h.h = head;
+   h.same = features % 4 == 0;
+   return h;
+}
+static DN__INLINE dn__v4 dn__v4_draw(const float *e, dn__v4_heads h) { return dn__draw_f4(e, h.h, h.same); }
+#endif
+
+#define DN__REDUCED_WEIGHTS 512 /* floats of buffer: 64 neighbours of 8 heads; larger neighbourhoods, more heads: the plain text */
+/* V lanes of columns, H lanes of heads (4 or 8) */
+#define DN__REDUCED_FLOATS(V, H, TARGET)                                                                     \
+   TARGET static DN__INLINE dn__v##V dn__reduced_exp_v##V(dn__v##V x) /* dn__reduced_exp */                  \
+   {                                                                                                         \
+      dn__v##V t = dn__v##V##_mul(x, dn__v##V##_all(DN__LOG2E)), m, f, p;                                    \
+      t = dn__v##V##_max(dn__v##V##_all(DN__EXP2_LOW), t);                                                   \
+      m = dn__v##V##_add(t, dn__v##V##_all(DN__WHOLE));                                                      \
+      f = dn__v##V##_sub(t, dn__v##V##_sub(m, dn__v##V##_all(DN__WHOLE)));                                   \
+      p = dn__v##V##_add(dn__v##V##_mul(dn__v##V##_all(DN__EXP2_4), f), dn__v##V##_all(DN__EXP2_3));         \
+      p = dn__v##V##_add(dn__v##V##_mul(p, f), dn__v##V##_all(DN__EXP2_2));                                  \
+      p = dn__v##V##_add(dn__v##V##_mul(p, f), dn__v##V##_all(DN__EXP2_1));                                  \
+      p = dn__v##V##_add(dn__v##V##_mul(p, f), dn__v##V##_all(1.0f));                                        \
+      return dn__v##V##_mul(p, dn__v##V##_power(m));                                                         \
+   }                                                                                                         \
+   TARGET static DN__INLINE dn__v##V dn__reduced_tanh_v##V(dn__v##V x, int shrink) /* dn__reduced_tanh */    \
+   {                                                                                                         \
+      dn__v##V c = dn__v##V##_min(dn__v##V##_all(DN__SHRINK_MOST), x), z, s, d;                              \
+      c = dn__v##V##_max(dn__v##V##_all(-DN__SHRINK_MOST), c);                                               \
+      z = dn__v##V##_mul(c, c);                                                                              \
+      s = dn__v##V##_add(dn__v##V##_mul(z, dn__v##V##_all(DN__SHRINK_A1)), dn__v##V##_all(DN__SHRINK_A0));   \
+      s = dn__v##V##_mul(dn__v##V##_mul(c, z), s);                                                           \
+      d = dn__v##V##_add(dn__v##V##_mul(z, dn__v##V##_all(DN__SHRINK_B2)), dn__v##V##_all(DN__SHRINK_B1));   \
+      d = dn__v##V##_add(dn__v##V##_mul(d, z), dn__v##V##_all(1.0f));                                        \
+      s = dn__v##V##_div(s, d);                                                                              \
+      return shrink ? dn__v##V##_add(s, dn__v##V##_sub(x, c)) : dn__v##V##_sub(c, s);                        \
+   }                                                                                                         \
+   TARGET static DN__INLINE dn__v##V dn__reduced_activate_v##V(dn__v##V x, dn_activation activation)         \
+   {                                                                                                         \
+      switch (activation) {                                                                                  \
+      case DN_ACT_TANH: return dn__reduced_tanh_v##V(x, 0);                                                  \
+      case DN_ACT_TANHSHRINK: return dn__reduced_tanh_v##V(x, 1);                                            \
+      case DN_ACT_RELU: return dn__v##V##_max(dn__v##V##_all(0.0f), x);                                      \
+      case DN_ACT_LEAKYRELU: return dn__v##V##_max(dn__v##V##_mul(x, dn__v##V##_all(0.2f)), x);              \
+      case DN_ACT_NONE:                                                                                      \
+      case DN_ACT_SOFTMAX:                                                                                   \
+      default: return x;                                                                                     \
+      }                                                                                                      \
+   }                                                                                                         \
+   /* a register's worth of cells; inverse and offset are read for 8 bits only */                            \
+   TARGET static DN__INLINE void dn__put_v##V(unsigned char *p, dn__v##V x, dn__cell cell, const float *inverse, \
+                                              const float *offset)                                           \
+   {                                                                                                         \
+      switch (cell) {                                                                                        \
+      case DN__HALF:                                                                                         \
+         x = dn__v##V##_min(dn__v##V##_all(65504.0f), dn__v##V##_max(dn__v##V##_all(-65504.0f), x));         \
+         dn__v##V##_put_halves(p, x);                                                                        \
+         break;                                                                                              \
+      case DN__BF16: dn__v##V##_put_bf16(p, x); break;                                                       \
+      case DN__BYTE:                                                                                         \
+         x = dn__v##V##_add(dn__v##V##_mul(x, dn__v##V##_load(inverse)), dn__v##V##_load(offset));           \
+         x = dn__v##V##_max(x, dn__v##V##_all(1.0f)); /* NaN: 1 */                                           \
+         dn__v##V##_put_bytes(p, dn__v##V##_min(x, dn__v##V##_all(255.0f)));                                 \
+         break;                                                                                              \
+      case DN__FLOAT:                                                                                        \
+      default: dn__v##V##_store((float *)(void *)p, x); break;                                               \
+      }                                                                                                      \
+   }                                                                                                         \
+   TARGET static DN__INLINE void dn__put_some_v##V(unsigned char *p, dn__v##V x, dn__cell cell,              \
+                                                   const float *inverse, const float *offset, size_t count)  \
+   {                                                                                                         \
+      float room[V];                                                                                         \
+      if (count >= V) dn__put_v##V(p, x, cell, inverse, offset);                                             \
+      else {                                                                                                 \
+         dn__put_v##V((unsigned char *)room, x, cell, inverse, offset);                                      \
+         memcpy(p, room, count * dn__cell_size(cell));                                                       \
+      }                                                                                                      \
+   }                                                                                                         \
+   TARGET static void dn__cells_v##V(const float *x, size_t count, unsigned char *y, dn__cell cell, const float *inverse, \
+                                     const float *offset)                                                    \
+   {                                                                                                         \
+      float last[V];                                                                                         \
+      size_t c, size = dn__cell_size(cell);                                                                  \
+      for (c = 0; c < count; c += V) {                                                                       \
+         const float *from = x + c;                                                                          \
+         if (count - c < V) {                                                                                \
+            memset(last, 0, sizeof last);                                                                    \
+            memcpy(last, from, (count - c) * sizeof(float));                                                 \
+            from = last;                                                                                     \
+         }                                                                                                   \
+         dn__put_some_v##V(y + c * size, dn__v##V##_load(from), cell, inverse ? inverse + c : NULL,          \
+                           offset ? offset + c : NULL, count - c);                                           \
+      }                                                                                                      \
+   }                                                                                                         \
+   TARGET static void dn__finish_v##V(const void *sums, int whole, const float *columns, dn_activation activation, \
+                                      size_t rows, unsigned char *y, size_t pitch, size_t count, dn__cell cell, \
+                                      const float *inverse, const float *offset)                             \
+   {                                                                                                         \
+      size_t r, c, size = dn__cell_size(cell);                                                               \
+      for (c = 0; c < count; c += V) {                                                                       \
+         dn__v##V scale = dn__v##V##_load(columns + c), shift = dn__v##V##_load(columns + DN_PANEL + c), x;  \
+         const float *i = inverse ? inverse + c : NULL, *o = offset ? offset + c : NULL;                     \
+         for (r = 0; r < rows; r++) {                                                                        \
+            x = whole ? dn__v##V##_ints((const int32_t *)sums + r * DN_PANEL + c)                            \
+               : dn__v##V##_load((const float *)sums + r * DN_PANEL + c);                                    \
+            x = dn__reduced_activate_v##V(dn__v##V##_add(dn__v##V##_mul(x, scale), shift), activation);      \
+            dn__put_some_v##V(y + r * pitch + c * size, x, cell, i, o, count - c);                           \
+         }                                                                                                   \
+      }                                                                                                      \
+   }                                                                                                         \
+   TARGET static void dn__reduced_attend_v##V(const dn__reduced *b, const dn_graph *g, const unsigned char *z, \
+                                              size_t z_pitch, size_t mask, unsigned char *y, size_t y_pitch, \
+                                              size_t begin, size_t end)                                      \
+   {                                                                                                         \
+      size_t kf = b->heads * b->features, at = dn__logits_at(b), size = dn__cell_size(b->to), i, j, k, c;    \
+      float room[DN__REDUCED_WEIGHTS + V + 15], *e = dn__cache_line(room), part[8]; /* e (count,8) */        \
+      for (i = begin; i < end; i++, y += y_pitch) {                                                          \
+         const uint32_t *next = g->next + g->first[i];                                                       \
+         size_t count = (size_t)(g->first[i + 1] - g->first[i]) + 1;                                         \
+         const unsigned char *own = z + (i & mask) * z_pitch;                                                \
+         const float *dst = (const float *)(const void *)(own + at);                                         \
+         if (b->heads > 8 || count > DN__REDUCED_WEIGHTS / 8) {                                              \
+            dn__reduced_attend_ref(b, g, z, z_pitch, mask, y, y_pitch, i, i + 1);                            \
+            continue;                                                                                        \
+         }                                                                                                   \
+         for (k = 0; k < 8; k += H) { /* idle heads: what follows in the row, never drawn from */            \
+            dn__v##H d = dn__v##H##_load(dst + k), s = dn__v##H##_load(dst + b->heads + k), most = s;        \
+            dn__v##H##_store(e + k, s);                                                                      \
+            for (j = 1; j < count; j++) {                                                                    \
+               s = dn__v##H##_load((const float *)(const void *)(z + (next[j - 1] & mask) * z_pitch + at) + b->heads + k); \
+               most = dn__v##H##_max(most, s);                                                               \
+               dn__v##H##_store(e + j * 8 + k, s);                                                           \
+            }                                                                                                \
+            most = dn__v##H##_add(d, most);                                                                  \
+            most = dn__v##H##_max(dn__v##H##_mul(most, dn__v##H##_all(0.2f)), most);                         \
+            for (j = 0; j < count; j++) {                                                                    \
+               s = dn__v##H##_add(d, dn__v##H##_load(e + j * 8 + k));                                        \
+               s = dn__v##H##_max(dn__v##H##_mul(s, dn__v##H##_all(0.2f)), s);                               \
+               dn__v##H##_store(e + j * 8 + k, dn__v##H##_sub(s, most));                                     \
+            }                                                                                                \
+         }                                                                                                   \
+         for (j = 0; j < count; j++) /* all of them at once: leaves the registers of the loop above free */  \
+            for (k = 0; k < 8; k += H) dn__v##H##_store(e + j * 8 + k, dn__reduced_exp_v##H(dn__v##H##_load(e + j * 8 + k))); \
+         for (k = 0; k < 8; k += H) {                                                                        \
+            dn__v##H all = dn__v##H##_load(e + k);                                                           \
+            for (j = 1; j < count; j++) all = dn__v##H##_add(all, dn__v##H##_load(e + j * 8 + k));           \
+            dn__v##H##_store(part + k, dn__v##H##_div(dn__v##H##_all(1.0f), all));                           \
+         }                                                                                                   \
+         for (c = 0; c < kf; c += V) {                                                                       \
+            const dn__v##V##_heads h = dn__v##V##_head(b->head + c, b->features);                            \
+            dn__v##V s = dn__v##V##_mul(dn__v##V##_draw(e, h), dn__v##V##_halves(own + 2 * c));              \
+            for (j = 1; j < count; j++)                                                                      \
+               s = dn__v##V##_add(s, dn__v##V##_mul(dn__v##V##_draw(e + j * 8, h),                           \
+                                                    dn__v##V##_halves(z + (next[j - 1] & mask) * z_pitch + 2 * c))); \
+            s = dn__reduced_activate_v##V(dn__v##V##_mul(s, dn__v##V##_draw(part, h)), b->activation);       \
+            dn__put_some_v##V(y + c * size, s, b->to, b->inverse ? b->inverse + c : NULL,                    \
+                              b->offset ? b->offset + c : NULL, kf - c);                                     \
+         }                                                                                                   \
+      }                                                                                                      \
+   }
+#ifdef DN__HAS_AVX2
+DN__REDUCED_FLOATS(8, 8, DN__TARGET_AVX2)
+#endif
+#ifdef DN__HAS_AVX512
+DN__REDUCED_FLOATS(16, 8, DN__TARGET_AVX512)
+#endif
+#ifdef DN__HAS_F4
+DN__REDUCED_FLOATS(4, 4, )
+#endif
+
+/* --- the fast sums */
+static void dn__widen_bf16(const unsigned char *x, size_t pitch, size_t rows, size_t count, unsigned char *to,
+                           size_t to_pitch) /* bfloat16 -> float */
+{
+   size_t r, c;
+   for (r = 0; r < rows; r++) {
+      uint32_t *f = (uint32_t *)(void *)(to + r * to_pitch);
+      for (c = 0; c < count; c++) f[c] = dn__read16(x + r * pitch + 2 * c) << 16;
+   }
+}
+static void dn__widen_bytes(const unsigned char *x, size_t pitch, size_t rows, size_t count, unsigned char *to,
+                            size_t to_pitch) /* 8 bits -> 16, an even number of them */
+{
+   size_t r, c;
+   for (r = 0; r < rows; r++) {
+      uint16_t *h = (uint16_t *)(void *)(to + r * to_pitch);
+      for (c = 0; c < count; c++) h[c] = x[r * pitch + c];
+      if (count & 1) h[count] = 0;
+   }
+}
+static DN__INLINE int32_t dn__word(const unsigned char *p) /* four bytes of a row, or two terms, as they lie */
+{
+   int32_t w;
+   memcpy(&w, p, 4);
+   return w;
+}
+/* the last, incomplete group of `count` bytes of each row, filled up with zeros */
+static DN__INLINE void dn__last_group(const unsigned char *x, size_t pitch, size_t rows, size_t count, int32_t *to)
+{
+   size_t r;
+   for (r = 0; r < rows; r++) to[r] = 0, memcpy(to + r, x + r * pitch, count);
+}
+
+#ifdef DN__HAS_AVX512
+/* 14 rows x 32 columns: 28 sums, 2 weights and the broadcast x fill 31 of the 32 registers. SETUP makes a constant w0, w1
+   of the weights at byte w + K, STEP is row r's multiplication. */
+#define DN__ROWS_AT(r) ((r < 4 ? x0 : r < 8 ? x4 : r < 12 ? x8 : x12) + r % 4 * pitch)
+#define DN__X(r) _mm512_set1_epi32(dn__word(DN__ROWS_AT(r) + 4 * K))
+#define DN__TERM(k)                                                                                          \
+   {                                                                                                         \
+      enum { K = k };                                                                                        \
+      DN__IN_MEMORY();                                                                                       \
+      w0 = _mm512_loadu_si512(w + 64 * K);                                                                   \
+      w1 = two ? _mm512_loadu_si512(w + w_pitch + 64 * K) : w0;                                              \
+      DN__EACH14(DN__STEP)                                                                                   \
+   }
+#define DN__GROUPS(bytes) /* bytes of a row in all; whole groups, then the rest */                           \
+   for (c = 0; c + 16 <= (bytes); c += 16, w += 256, x0 += 16, x4 += 16, x8 += 16, x12 += 16) {              \
+      DN__TERM(0) DN__TERM(1) DN__TERM(2) DN__TERM(3)                                                        \
+   }                                                                                                         \
+   for (; c + 4 <= (bytes); c += 4, w += 64, x0 += 4, x4 += 4, x8 += 4, x12 += 4) DN__TERM(0)                \
+   if (c < (bytes)) {                                                                                        \
+      int32_t last[DN__REDUCED_ROWS];                                                                           \
+      dn__last_group(x + c, pitch, DN__REDUCED_ROWS, (bytes) - c, last);                                        \
+      x0 = (const unsigned char *)last, x4 = x0 + 16, x8 = x0 + 32, x12 = x0 + 48, pitch = 4;                \
+      DN__TERM(0)                                                                                            \
+   }
+   #ifdef DN__HAS_VNNI
+#define DN__START(r) __m512i a##r = s0, b##r = s1;
+#define DN__STEP(r)                                                                                          \
+   v = DN__X(r);                                                                                             \
+   a##r = _mm512_dpbusd_epi32(a##r, v, w0);                                                                  \
+   if (two) b##r = _mm512_dpbusd_epi32(b##r, v, w1);
+#define DN__STORE(r)                                                                                         \
+   _mm512_storeu_si512(to + r * DN_PANEL, a##r);                                                             \
+   if (two) _mm512_storeu_si512(to + (DN__REDUCED_ROWS + r) * DN_PANEL, b##r);
+DN__TARGET_VNNI static DN__INLINE void dn__tile_vnni_of(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                                        size_t w_pitch, const int32_t *minus, int32_t *to, const int two)
+{
+   const unsigned char *x0 = x, *x4 = x + 4 * pitch, *x8 = x + 8 * pitch, *x12 = x + 12 * pitch;
+   __m512i s0 = _mm512_loadu_si512(minus), s1 = two ? _mm512_loadu_si512(minus + DN_PANEL) : s0, w0, w1, v;
+   size_t c;
+   DN__EACH14(DN__START)
+   DN__GROUPS(in)
+   DN__EACH14(DN__STORE)
+}
+DN__TARGET_VNNI static void dn__tile_vnni(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                          size_t w_pitch, const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)more;
+   if (panels == 2) dn__tile_vnni_of(x, pitch, in, w, w_pitch, minus, (int32_t *)sums, 1);
+   else dn__tile_vnni_of(x, pitch, in, w, w_pitch, minus, (int32_t *)sums, 0);
+}
+#undef DN__START
+#undef DN__STEP
+#undef DN__STORE
+#define DN__START(r) __m512 a##r = _mm512_setzero_ps(), b##r = a##r;
+#define DN__STEP(r)                                                                                          \
+   v = DN__X(r);                                                                                             \
+   a##r = _mm512_dpbf16_ps(a##r, (__m512bh)v, (__m512bh)w0);                                                 \
+   if (two) b##r = _mm512_dpbf16_ps(b##r, (__m512bh)v, (__m512bh)w1);
+#define DN__STORE(r)                                                                                         \
+   _mm512_storeu_ps(to + r * DN_PANEL, a##r);                                                                \
+   if (two) _mm512_storeu_ps(to + (DN__REDUCED_ROWS + r) * DN_PANEL, b##r);
+DN__TARGET_BF16 static DN__INLINE void dn__tile_bf16_of(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                                        size_t w_pitch, float *to, const int two)
+{
+   const unsigned char *x0 = x, *x4 = x + 4 * pitch, *x8 = x + 8 * pitch, *x12 = x + 12 * pitch;
+   __m512i w0, w1, v;
+   size_t c;
+   DN__EACH14(DN__START)
+   DN__GROUPS(2 * in)
+   DN__EACH14(DN__STORE)
+}
+DN__TARGET_BF16 static void dn__tile_bf16(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                          size_t w_pitch, const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)minus, (void)more;
+   if (panels == 2) dn__tile_bf16_of(x, pitch, in, w, w_pitch, (float *)sums, 1);
+   else dn__tile_bf16_of(x, pitch, in, w, w_pitch, (float *)sums, 0);
+}
+#undef DN__START
+#undef DN__STEP
+#undef DN__STORE
+   #endif
+#undef DN__X
+#undef DN__TERM
+#undef DN__GROUPS
+/* the same of float rows and 16-bit weights, widened where they are loaded: 32 bytes a term */
+#define DN__START(r)                                                                                         \
+   __m512 a##r = more ? _mm512_loadu_ps(to + r * DN_PANEL) : _mm512_setzero_ps();                            \
+   __m512 b##r = more && two ? _mm512_loadu_ps(to + (DN__REDUCED_ROWS + r) * DN_PANEL) : _mm512_setzero_ps();
+#define DN__STEP(r)                                                                                          \
+   v = _mm512_set1_ps(((const float *)(const void *)DN__ROWS_AT(r))[0]);                                     \
+   a##r = _mm512_fmadd_ps(v, w0, a##r);                                                                      \
+   if (two) b##r = _mm512_fmadd_ps(v, w1, b##r);
+#define DN__STORE(r)                                                                                         \
+   _mm512_storeu_ps(to + r * DN_PANEL, a##r);                                                                \
+   if (two) _mm512_storeu_ps(to + (DN__REDUCED_ROWS + r) * DN_PANEL, b##r);
+DN__TARGET_AVX512 static DN__INLINE __m512 dn__weights_avx512(const unsigned char *w, const int half)
+{
+   __m256i h = _mm256_loadu_si256((const __m256i *)(const void *)w);
+   return half ? _mm512_maskz_cvtph_ps(DN__ALL, h)
+      : _mm512_castsi512_ps(_mm512_maskz_slli_epi32(DN__ALL, _mm512_maskz_cvtepu16_epi32(DN__ALL, h), 16));
+}
+DN__TARGET_AVX512 static DN__INLINE void dn__tile_wide_avx512(const unsigned char *x, size_t pitch, size_t in,
+                                                              const unsigned char *w, size_t w_pitch, int more, float *to,
+                                                              const int two, const int half)
+{
+   const unsigned char *x0 = x, *x4 = x + 4 * pitch, *x8 = x + 8 * pitch, *x12 = x + 12 * pitch;
+   __m512 w0, w1, v;
+   size_t c;
+   DN__EACH14(DN__START)
+   for (c = 0; c < in; c++, w += 32, x0 += 4, x4 += 4, x8 += 4, x12 += 4) {
+      w0 = dn__weights_avx512(w, half);
+      w1 = two ? dn__weights_avx512(w + w_pitch, half) : w0;
+      DN__EACH14(DN__STEP)
+   }
+   DN__EACH14(DN__STORE)
+}
+#undef DN__START
+#undef DN__STEP
+#undef DN__STORE
+#undef DN__ROWS_AT
+DN__TARGET_AVX512 static void dn__tile_half_avx512(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                                   size_t w_pitch, const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)minus;
+   if (panels == 2) dn__tile_wide_avx512(x, pitch, in, w, w_pitch, more, (float *)sums, 1, 1);
+   else dn__tile_wide_avx512(x, pitch, in, w, w_pitch, more, (float *)sums, 0, 1);
+}
+DN__TARGET_AVX512 static void dn__tile_bf16_avx512(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                                   size_t w_pitch, const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)minus;
+   if (panels == 2) dn__tile_wide_avx512(x, pitch, in, w, w_pitch, more, (float *)sums, 1, 0);
+   else dn__tile_wide_avx512(x, pitch, in, w, w_pitch, more, (float *)sums, 0, 0);
+}
+#endif
+
+#ifdef DN__HAS_AVX2
+/* 6 rows x 16 columns, as dn__tile_avx2 */
+#define DN__START(r)                                                                                         \
+   __m256 a##r = more ? _mm256_loadu_ps(to + r * DN_PANEL) : _mm256_setzero_ps();                            \
+   __m256 b##r = more ? _mm256_loadu_ps(to + r * DN_PANEL + 8) : _mm256_setzero_ps();
+#define DN__STEP(r)                                                                                          \
+   v = _mm256_broadcast_ss((const float *)(const void *)((r < 3 ? x0 : x3) + r % 3 * pitch));                \
+   a##r = _mm256_fmadd_ps(v, w0, a##r);                                                                      \
+   b##r = _mm256_fmadd_ps(v, w1, b##r);
+#define DN__STORE(r)                                                                                         \
+   _mm256_storeu_ps(to + r * DN_PANEL, a##r);                                                                \
+   _mm256_storeu_ps(to + r * DN_PANEL + 8, b##r);
+DN__TARGET_AVX2 static DN__INLINE __m256 dn__weights_avx2(const unsigned char *w, const int half)
+{
+   __m128i h = _mm_loadu_si128((const __m128i *)(const void *)w);
+   return half ? _mm256_cvtph_ps(h) : _mm256_castsi256_ps(_mm256_slli_epi32(_mm256_cvtepu16_epi32(h), 16));
+}
+DN__TARGET_AVX2 static DN__INLINE void dn__tile_wide_avx2(const unsigned char *x, size_t pitch, size_t in,
+                                                          const unsigned char *w, int more, float *to, const int half)
+{
+   const unsigned char *x0 = x, *x3 = x + 3 * pitch;
+   __m256 w0, w1, v;
+   size_t c;
+   DN__EACH6(DN__START)
+   for (c = 0; c < in; c++, w += 32, x0 += 4, x3 += 4) {
+      w0 = dn__weights_avx2(w, half);
+      w1 = dn__weights_avx2(w + 16, half);
+      DN__EACH6(DN__STEP)
+   }
+   DN__EACH6(DN__STORE)
+}
+#undef DN__START
+#undef DN__STEP
+#undef DN__STORE
+DN__TARGET_AVX2 static void dn__tile_half_avx2(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                               size_t w_pitch, const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)w_pitch, (void)minus, (void)panels;
+   dn__tile_wide_avx2(x, pitch, in, w, more, (float *)sums, 1);
+}
+DN__TARGET_AVX2 static void dn__tile_bf16_avx2(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                               size_t w_pitch, const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)w_pitch, (void)minus, (void)panels;
+   dn__tile_wide_avx2(x, pitch, in, w, more, (float *)sums, 0);
+}
+/* pairs of terms, 16 bits each: their products and the sum of the two are exact */
+#define DN__START(r)                                                                                         \
+   __m256i a##r = _mm256_loadu_si256((const __m256i *)(const void *)(more ? to + r * DN_PANEL : minus));     \
+   __m256i b##r = _mm256_loadu_si256((const __m256i *)(const void *)((more ? to + r * DN_PANEL : minus) + 8));
+#define DN__STEP(r)                                                                                          \
+   v = _mm256_set1_epi32(dn__word((r < 3 ? x0 : x3) + r % 3 * pitch));                                       \
+   a##r = _mm256_add_epi32(a##r, _mm256_madd_epi16(v, w0));                                                  \
+   b##r = _mm256_add_epi32(b##r, _mm256_madd_epi16(v, w1));
+#define DN__STORE(r)                                                                                         \
+   _mm256_storeu_si256((__m256i *)(void *)(to + r * DN_PANEL), a##r);                                        \
+   _mm256_storeu_si256((__m256i *)(void *)(to + r * DN_PANEL + 8), b##r);
+DN__TARGET_AVX2 static void dn__tile_bytes_avx2(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w,
+                                                size_t w_pitch, const int32_t *minus, int more, size_t panels, void *sums)
+{
+   const unsigned char *x0 = x, *x3 = x + 3 * pitch;
+   int32_t *to = (int32_t *)sums;
+   __m256i w0, w1, v;
+   size_t c;
+   (void)w_pitch, (void)panels;
+   {
+      DN__EACH6(DN__START)
+      for (c = 0; c < in; c += 2, w += 32, x0 += 4, x3 += 4) {
+         w0 = _mm256_cvtepi8_epi16(_mm_loadu_si128((const __m128i *)(const void *)w));
+         w1 = _mm256_cvtepi8_epi16(_mm_loadu_si128((const __m128i *)(const void *)(w + 16)));
+         DN__EACH6(DN__STEP)
+      }
+      DN__EACH6(DN__STORE)
+   }
+}
+#undef DN__START
+#undef DN__STEP
+#undef DN__STORE
+#endif
+
+#ifdef DN__HAS_F4
+/* 3 rows x 16 columns */
+#define DN__START(r)                                                                                         \
+   dn__f4 a##r = more ? dn__f4_load(to + r * 16) : zero, b##r = more ? dn__f4_load(to + r * 16 + 4) : zero,  \
+          c##r = more ? dn__f4_load(to + r * 16 + 8) : zero, d##r = more ? dn__f4_load(to + r * 16 + 12) : zero;
+#define DN__STEP(r)                                                                                          \
+   v = dn__f4_all(((const float *)(const void *)(x + r * pitch))[n]);                                        \
+   a##r = dn__f4_fma(v, w0, a##r);                                                                           \
+   b##r = dn__f4_fma(v, w1, b##r);                                                                           \
+   c##r = dn__f4_fma(v, w2, c##r);                                                                           \
+   d##r = dn__f4_fma(v, w3, d##r);
+#define DN__STORE(r)                                                                                         \
+   dn__f4_store(to + r * 16, a##r), dn__f4_store(to + r * 16 + 4, b##r);                                     \
+   dn__f4_store(to + r * 16 + 8, c##r), dn__f4_store(to + r * 16 + 12, d##r);
+static DN__INLINE dn__f4 dn__weights_f4(const unsigned char *w, const int half)
+{
+   return half ? dn__v4_halves(w) : dn__i4_bits(dn__i4_up(dn__i4_load16(w), 16));
+}
+static DN__INLINE void dn__tile_wide_f4(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, int more,
+                                        float *to, const int half)
+{
+   const dn__f4 zero = dn__f4_all(0.0f);
+   dn__f4 w0, w1, w2, w3, v;
+   size_t n;
+   DN__EACH3(DN__START)
+   for (n = 0; n < in; n++, w += 32) {
+      w0 = dn__weights_f4(w, half), w1 = dn__weights_f4(w + 8, half);
+      w2 = dn__weights_f4(w + 16, half), w3 = dn__weights_f4(w + 24, half);
+      DN__EACH3(DN__STEP)
+   }
+   DN__EACH3(DN__STORE)
+}
+#undef DN__START
+#undef DN__STEP
+#undef DN__STORE
+static void dn__tile_half_f4(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, size_t w_pitch,
+                             const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)w_pitch, (void)minus, (void)panels;
+   dn__tile_wide_f4(x, pitch, in, w, more, (float *)sums, 1);
+}
+static void dn__tile_bf16_f4(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, size_t w_pitch,
+                             const int32_t *minus, int more, size_t panels, void *sums)
+{
+   (void)w_pitch, (void)minus, (void)panels;
+   dn__tile_wide_f4(x, pitch, in, w, more, (float *)sums, 0);
+}
+   #if defined(DN__F4_NEON) && defined(__ARM_FEATURE_DOTPROD)
+/* cells without their offset of 128 are what the processor's dot product takes; then nothing is left to subtract */
+#define DN__START(r) int32x4_t a##r = vdupq_n_s32(0), b##r = a##r, c##r = a##r, d##r = a##r;
+#define DN__STEP(r)                                                                                          \
+   v = veorq_s8(vreinterpretq_s8_s32(vdupq_n_s32(dn__word(x + r * pitch))), vdupq_n_s8(-128));               \
+   a##r = vdotq_s32(a##r, v, w0);                                                                            \
+   b##r = vdotq_s32(b##r, v, w1);                                                                            \
+   c##r = vdotq_s32(c##r, v, w2);                                                                            \
+   d##r = vdotq_s32(d##r, v, w3);
+#define DN__STORE(r)                                                                                         \
+   vst1q_s32(to + r * 16, a##r), vst1q_s32(to + r * 16 + 4, b##r);                                           \
+   vst1q_s32(to + r * 16 + 8, c##r), vst1q_s32(to + r * 16 + 12, d##r);
+static void dn__tile_dot(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, size_t w_pitch,
+                         const int32_t *minus, int more, size_t panels, void *sums)
+{
+   const signed char *s = (const signed char *)w;
+   int32_t *to = (int32_t *)sums, last[3];
+   int8x16_t w0, w1, w2, w3, v;
+   size_t n;
+   (void)w_pitch, (void)minus, (void)more, (void)panels;
+   {
+      DN__EACH3(DN__START)
+      for (n = 0; n < in; n += 4, s += 64, x += 4) {
+         if (n + 4 > in) dn__last_group(x, pitch, 3, in - n, last), x = (const unsigned char *)last, pitch = 4;
+         w0 = vld1q_s8(s), w1 = vld1q_s8(s + 16), w2 = vld1q_s8(s + 32), w3 = vld1q_s8(s + 48);
+         DN__EACH3(DN__STEP)
+      }
+      DN__EACH3(DN__STORE)
+   }
+}
+#undef DN__START
+#undef DN__STEP
+#undef DN__STORE
+   #else
+#define DN__START(r)                                                                                         \
+   dn__i4 a##r = dn__i4_load(more ? to + r * 16 : minus), b##r = dn__i4_load((more ? to + r * 16 : minus) + 4),  \
+          c##r = dn__i4_load((more ? to + r * 16 : minus) + 8), d##r = dn__i4_load((more ? to + r * 16 : minus) + 12);
+#define DN__STEP(r)                                                                                          \
+   v = dn__i4_all(dn__word(x + r * pitch + 2 * n));                                                          \
+   a##r = dn__i4_pairs(a##r, v, w0);                                                                         \
+   b##r = dn__i4_pairs(b##r, v, w1);                                                                         \
+   c##r = dn__i4_pairs(c##r, v, w2);                                                                         \
+   d##r = dn__i4_pairs(d##r, v, w3);
+#define DN__STORE(r)                                                                                         \
+   dn__i4_store(to + r * 16, a##r), dn__i4_store(to + r * 16 + 4, b##r);                                     \
+   dn__i4_store(to + r * 16 + 8, c##r), dn__i4_store(to + r * 16 + 12, d##r);
+static void dn__tile_bytes_f4(const unsigned char *x, size_t pitch, size_t in, const unsigned char *w, size_t w_pitch,
+                              const int32_t *minus, int more, size_t panels, void *sums)
+{
+   int32_t *to = (int32_t *)sums;
+   dn__i4 w0, w1, w2, w3, v;
+   size_t n;
+   (void)w_pitch, (void)panels;
+   {
+      DN__EACH3(DN__START)
+      for (n = 0; n < in; n += 2, w += 32) {
+         dn__i4_widen8(w, &w0, &w1), dn__i4_widen8(w + 16, &w2, &w3);
+         DN__EACH3(DN__STEP)
+      }
+      DN__EACH3(DN__STORE)
+   }
+}
+#undef DN__START
+#undef DN__STEP
+#undef DN__STORE
+   #endif
+#endif
+
+/* --- the choice */
+static const dn__reduced_text dn__reduced_ref[3] = { /* f16, bf16, int8 */
+   { 1, 1, 1, 4, NULL, dn__tile_ref_half, dn__finish_ref, dn__cells_ref, NULL },
+   { 1, 1, 1, 2, NULL, dn__tile_ref_bf16, dn__finish_ref, dn__cells_ref, dn__reduced_attend_ref },
+   { 1, 1, 1, 1, NULL, dn__tile_ref_bytes, dn__finish_ref, dn__cells_ref, dn__reduced_attend_ref }
+};
+#ifdef DN__HAS_AVX2
+static const dn__reduced_text dn__reduced_avx2[3] = {
+   { 1, 6, 1, 4, NULL, dn__tile_half_avx2, dn__finish_v8, dn__cells_v8, NULL },
+   { 1, 6, 1, 4, dn__widen_bf16, dn__tile_bf16_avx2, dn__finish_v8, dn__cells_v8, dn__reduced_attend_v8 },
+   { 2, 6, 1, 2, dn__widen_bytes, dn__tile_bytes_avx2, dn__finish_v8, dn__cells_v8, dn__reduced_attend_v8 }
+};
+#endif
+#ifdef DN__HAS_AVX512
+static const dn__reduced_text dn__reduced_avx512[3] = {
+   { 1, 14, 2, 4, NULL, dn__tile_half_avx512, dn__finish_v16, dn__cells_v16, NULL },
+   { 1, 14, 2, 4, dn__widen_bf16, dn__tile_bf16_avx512, dn__finish_v16, dn__cells_v16, dn__reduced_attend_v16 },
+   { 2, 6, 1, 2, dn__widen_bytes, dn__tile_bytes_avx2, dn__finish_v16, dn__cells_v16, dn__reduced_attend_v16 }
+};
+   #ifdef DN__HAS_VNNI
+static const dn__reduced_text dn__reduced_vnni = { 4, 14, 2, 1, NULL, dn__tile_vnni, dn__finish_v16, dn__cells_v16, dn__reduced_attend_v16 };
+static const dn__reduced_text dn__reduced_bf16 = { 2, 14, 2, 2, NULL, dn__tile_bf16, dn__finish_v16, dn__cells_v16, dn__reduced_attend_v16 };
+   #endif
+#endif
+#ifdef DN__HAS_F4
+static const dn__reduced_text dn__reduced_f4[3] = {
+   { 1, 3, 1, 4, NULL, dn__tile_half_f4, dn__finish_v4, dn__cells_v4, NULL },
+   { 1, 3, 1, 4, dn__widen_bf16, dn__tile_bf16_f4, dn__finish_v4, dn__cells_v4, dn__reduced_attend_v4 },
+   #if defined(DN__F4_NEON) && defined(__ARM_FEATURE_DOTPROD)
+   { 4, 3, 1, 1, NULL, dn__tile_dot, dn__finish_v4, dn__cells_v4, dn__reduced_attend_v4 }
+   #else
+   { 2, 3, 1, 2, dn__widen_bytes, dn__tile_bytes_f4, dn__finish_v4, dn__cells_v4, dn__reduced_attend_v4 }
+   #endif
+};
+#endif
+/* of an available kernel; it asks the processor, so once for a layer */
+static const dn__reduced_text *dn__reduced_text_of(dn_precision precision, dn_kernel kernel)
+{
+   int which = precision == DN_PRECISION_F16 ? 0 : precision == DN_PRECISION_BF16 ? 1 : 2;
+#ifdef DN__HAS_F4
+   if (kernel == DN__F4_KERNEL) return &dn__reduced_f4[which];
+#endif
+#ifdef DN__HAS_AVX2
+   if (kernel == DN_KERNEL_AVX2) return &dn__reduced_avx2[which];
+#endif
+#ifdef DN__HAS_AVX512
+   if (kernel == DN_KERNEL_AVX512) {
+   #ifdef DN__HAS_VNNI
+      unsigned r[4];
+      dn__cpuid(7, 0, r);
+      if (which == 2 && r[2] & 1u << 11) return &dn__reduced_vnni; /* AVX512_VNNI */
+      if (which == 1 && r[0] >= 1) {
+         dn__cpuid(7, 1, r);
+         if (r[0] & 1u << 5) return &dn__reduced_bf16; /* AVX512_BF16 */
+      }
+   #endif
+      return &dn__reduced_avx512[which];
+   }
+#endif
+   (void)kernel;
+   return &dn__reduced_ref[which];
+}
+
+/* --- packing */
+static size_t dn__half_up(double x) { return (size_t)(x + 0.5); }
+static signed char dn__weight_byte(double x) /* |x| <= 127 or so; to the nearest, ties to even; NaN gives 0 */
+{
+   double size = x < 0 ? -x : x;
+   size_t n;
+   if (!(size <= 127.0)) size = size > 127.0 ? 127.0 : 0.0;
+   n = dn__half_up(size);
+   if ((double)n - size == 0.5) n &= ~(size_t)1;
+   return (signed char)(x < 0 ? -(int)n : (int)n);
+}
+/* In memory a block's or a layer's arrays lie one after another. in, heads, features, self: heads = 0 makes a linear layer of
+   `self` outputs. */
+static void dn__reduced_lay(dn__reduced *l, dn__arena *a)
+{
+   size_t z = dn__mul(l->heads, l->features), group = l->text->group;
+   size_t cells = dn__mul(dn__round(l->in, group), dn__precision_size(l->precision));
+   l->out = dn__add(z, l->self);
+   l->z = l->precision == DN_PRECISION_F16 ? DN__FLOAT : DN__HALF;
+   l->z_panels = dn__round(l->z == DN__FLOAT && l->heads ? dn__add(z, dn__mul(2, l->heads)) : z, DN_PANEL) / DN_PANEL;
+   l->panels = dn__add(l->z_panels, dn__round(l->self, DN_PANEL) / DN_PANEL);
+   if (l->z == DN__HALF) l->panels = dn__add(l->panels, dn__round(dn__mul(2, l->heads), DN_PANEL) / DN_PANEL);
+   l->weights = (const unsigned char *)dn__take(a, dn__mul(dn__mul(l->panels, DN_PANEL), cells), 1);
+   l->columns = (const float *)dn__take(a, dn__mul(l->panels, 2 * DN_PANEL), sizeof(float));
+   l->minus = l->precision == DN_PRECISION_INT8 ? (const int32_t *)dn__take(a, dn__mul(l->panels, DN_PANEL), sizeof(int32_t)) : NULL;
+   l->head = (const uint32_t *)dn__take(a, dn__mul(l->z_panels, DN_PANEL), sizeof(uint32_t));
+}
+static void dn__reduced_make(dn__reduced *l, dn_precision precision, dn_kernel kernel, size_t in, size_t heads, size_t features,
+                             size_t self, dn_activation activation)
+{
+   memset(l, 0, sizeof *l);
+   l->precision = precision;
+   l->text = dn__reduced_text_of(precision, kernel);
+   l->in = in;
+   l->heads = heads;
+   l->features = features;
+   l->self = self;
+   l->activation = activation;
+   l->from = l->to = dn__precision_cell(precision);
+}
+/* one column: its weights row (in), by which NAME is multiplied; what is added to their sum; its channel of the batch norm */
+static void dn__reduced_column(const dn__reduced *l, size_t column, const double *row, double bias, const dn_batchnorm *bn,
+                               size_t channel, const dn__span *spans)
+{
+   size_t panel = column / DN_PANEL, at = column % DN_PANEL, group = l->text->group, cell = dn__precision_size(l->precision), c, s, k;
+   unsigned char *w = (unsigned char *)l->weights + panel * DN_PANEL * dn__round(l->in, group) * cell;
+   float *n = (float *)l->columns + panel * 2 * DN_PANEL + at;
+   double scale, shift, unit = 1;
+   dn__fold(bn, channel, &scale, &shift);
+   if (l->precision == DN_PRECISION_INT8) {
+      double most = 0;
+      int32_t sum = 0;
+      for (s = c = 0; c < l->in; s++)
+         for (k = 0; k < spans[s].width; k++, c++) {
+            double x = row[c] * (double)spans[s].step[k];
+            bias += row[c] * (double)spans[s].middle[k];
+            most = most > DN_FABS(x) ? most : DN_FABS(x);
+         }
+      unit = most / 127.0;
+      for (s = c = 0; c < l->in; s++)
+         for (k = 0; k < spans[s].width; k++, c++) {
+            signed char q = unit > 0 ? dn__weight_byte(row[c] * (double)spans[s].step[k] / unit) : 0;
+            w[dn__reduced_at(group, at, c)] = (unsigned char)q;
+            sum += q;
+         }
+      ((int32_t *)l->minus)[column] = -128 * sum;
+   } else {
+      for (c = 0; c < l->in; c++) {
+         float x = dn__narrow(row[c]);
+         uint16_t h = (uint16_t)(l->precision == DN_PRECISION_F16 ? dn__half_of(x) : dn__bf16_of(x));
+         memcpy(w + 2 * dn__reduced_at(group, at, c), &h, 2);
+      }
+   }
+   n[0] = dn__narrow(scale * unit);
+   n[DN_PANEL] = dn__narrow(bias * scale + shift);
+}
+/* Laid out in memory, filled here. lin (K*F,in), att_dst, att_src (K,F) of a block; self (self,in), of a linear layer its
+   weight; bias (out) or NULL; spans of the row read, 8 bits only; row: room for `in` doubles */
+static void dn__reduced_fill(dn__reduced *l, const float *lin, const float *att_dst, const float *att_src, const float *self,
+                             const float *bias, const dn_batchnorm *bn, const dn__span *spans, double *row)
+{
+   size_t kf = l->heads * l->features, own = l->panels * DN_PANEL - dn__round(l->self, DN_PANEL), o, c, f, k;
+   size_t logits = l->z == DN__FLOAT ? kf : l->z_panels * DN_PANEL;
+   memset((unsigned char *)l->weights, 0, l->panels * DN_PANEL * dn__round(l->in, l->text->group) * dn__precision_size(l->precision));
+   memset((float *)l->columns, 0, l->panels * 2 * DN_PANEL * sizeof(float));
+   if (l->minus) memset((int32_t *)l->minus, 0, l->panels * DN_PANEL * sizeof(int32_t));
+   memset((uint32_t *)l->head, 0, l->z_panels * DN_PANEL * sizeof(uint32_t));
+   for (o = 0; o < kf + l->self; o++) {
+      const float *from = o < kf ? lin + o * l->in : self + (o - kf) * l->in;
+      for (c = 0; c < l->in; c++) row[c] = (double)from[c];
+      dn__reduced_column(l, o < kf ? o : own + (o - kf), row, bias ? (double)bias[o] : 0.0, bn, o, spans);
+      if (o < kf) ((uint32_t *)l->head)[o] = (uint32_t)(o / l->features);
+   }
+   for (k = 0; k < 2 * l->heads; k++) { /* W_k^T dst_k, then W_k^T src_k, as in dn_gat_pack */
+      const float *att = k < l->heads ? att_dst + k * l->features : att_src + (k - l->heads) * l->features;
+      const float *from = lin + k % l->heads * l->features * l->in;
+      for (c = 0; c < l->in; c++)
+         for (row[c] = 0, f = 0; f < l->features; f++) row[c] += (double)att[f] * (double)from[f * l->in + c];
+      dn__reduced_column(l, logits + k, row, 0.0, NULL, 0, spans);
+   }
+}
+
+/* --- running. z of a block: rows of z_pitch bytes; y: the columns after z's in the same rows, pointwise; all rows from 0 */
+static size_t dn__reduced_z_pitch(const dn__reduced *l)
+{
+   size_t own = dn__round(l->self, DN_PANEL) / DN_PANEL;
+   return dn__round(l->z_panels * DN_PANEL * dn__cell_size(l->z) + (l->panels - l->z_panels - own) * DN_PANEL * 4, DN__ALIGN);
+}
+/* sums (panels, rows of the text, 16) of rows x and panels p .. */
+static void dn__reduced_sums(const dn__reduced *l, const unsigned char *x, size_t pitch, size_t p, size_t panels, float *sums)
+{
+   const dn__reduced_text *t = l->text;
+   size_t w_pitch = DN_PANEL * dn__round(l->in, t->group) * dn__precision_size(l->precision), c, count;
+   const unsigned char *w = l->weights + p * w_pitch;
+   const int32_t *minus = l->minus ? l->minus + p * DN_PANEL : NULL;
+   float room[DN__REDUCED_ROWS * DN__WIDENED];
+   if (!t->widen) {
+      t->tile(x, pitch, l->in, w, w_pitch, minus, 0, panels, sums);
+      return;
+   }
+   for (c = 0; c < l->in; c += count) {
+      size_t size = dn__cell_size(l->from);
+      count = dn__min(DN__WIDENED, l->in - c);
+      t->widen(x + c * size, pitch, t->rows, count, (unsigned char *)room, DN__WIDENED * t->cell);
+      t->tile((const unsigned char *)room, DN__WIDENED * t->cell, count, w + DN_PANEL * c * dn__precision_size(l->precision), w_pitch,
+              minus, c != 0, panels, sums);
+   }
+}
+/* A last tile that would stick out is moved back over rows already done, whose bits it repeats; fewer rows than a tile go
+   one by one, each as a tile of that row alone. */
+static void dn__reduced_products(const dn__reduced *l, const unsigned char *x, size_t x_pitch, unsigned char *z, size_t z_pitch,
+                                 unsigned char *y, size_t y_pitch, size_t rows)
+{
+   const dn__reduced_text *t = l->text;
+   float sums[2 * DN__REDUCED_ROWS * DN_PANEL];
+   size_t own = l->panels - dn__round(l->self, DN_PANEL) / DN_PANEL, kf = l->heads * l->features, r, n, p, q, count;
+   for (r = 0; r < rows; r += n) {
+      n = rows >= t->rows ? t->rows : 1;
+      r = dn__min(r, rows - n);
+      for (p = 0; p < l->panels; p += count) {
+         count = dn__min(t->panels, l->panels - p);
+         dn__reduced_sums(l, x + r * x_pitch, n == t->rows ? x_pitch : 0, p, count, sums);
+         for (q = p; q < p + count; q++) {
+            const float *from = sums + (q - p) * t->rows * DN_PANEL, *columns = l->columns + q * 2 * DN_PANEL;
+            int whole = l->precision == DN_PRECISION_INT8;
+            if (q < own) { /* z, then logits */
+               dn__cell cell = q < l->z_panels ? l->z : DN__FLOAT;
+               size_t at = dn__min(q, l->z_panels) * DN_PANEL * dn__cell_size(l->z) + (q - dn__min(q, l->z_panels)) * DN_PANEL * 4;
+               t->finish(from, whole, columns, DN_ACT_NONE, n, z + r * z_pitch + at, z_pitch, DN_PANEL, cell, NULL, NULL);
+            } else {
+               size_t o = kf + (q - own) * DN_PANEL;
+               t->finish(from, whole, columns, l->activation, n, y + r * y_pitch + o * dn__cell_size(l->to), y_pitch,
+                         dn__min(DN_PANEL, l->out - o), l->to, l->inverse ? l->inverse + o : NULL, l->offset ? l->offset + o : NULL);
+            }
+         }
+      }
+   }
+}
+/* nodes begin to end - 1; y starts with node begin. Float z of f16: by >>attention's text, y float */
+static void dn__reduced_attend(const dn__reduced *l, dn_kernel kernel, const dn_graph *g, const unsigned char *z, size_t z_pitch,
+                               size_t mask, unsigned char *y, size_t y_pitch, size_t begin, size_t end)
+{
+   if (l->z == DN__FLOAT) {
+      const dn__kernel *k = dn__kernel_of(kernel);
+      dn_gat b;
+      memset(&b, 0, sizeof b);
+      b.heads = l->heads;
+      b.features = l->features;
+      b.self = l->self;
+      b.activation = l->activation;
+      b.head = l->head;
+      (k ? k->attend : dn__attend_ref)(&b, g, (const float *)(const void *)z, mask, (float *)(void *)y, y_pitch / sizeof(float),
+                                       begin, end);
+   } else l->text->attend(l, g, z, z_pitch, mask, y, y_pitch, begin, end);
+}
+/* a row of cells as floats, for probes */
+static void dn__floats_of_cells(const unsigned char *x, size_t width, dn__cell cell, const dn__span *span, float *y)
+{
+   size_t c;
+   for (c = 0; c < width; c++) {
+      float v = dn__read_cell(x + c * dn__cell_size(cell), cell);
+      y[c] = cell == DN__BYTE ? span->middle[c] + span->step[c] * (v - 128.0f) : v;
+   }
+}
+
 /* ===================================================================================== >>pooling
    in       rows v (N,d), graph (CSR)      out  clusters: pairs, scores, the coarse graph
    touches  the clusters' arrays and the scratch passed in
@@ -6691,7 +8082,7 @@ DN_API void dn_pool_scatter(const dn_pool *pool, const dn_clusters *c, const flo
    paper    DenseGATs T 3.2, MultiResGNet T 3.3, baselines T tables 3.3 and 3.4; spec section 5
    read     dn__build_model (what each architecture is made of), then dn__wave_run and dn__run_densegats (how it runs) */
 
-enum { DN__MAX_FEATURES = 16, DN__MAX_CHAIN = 64, DN__NAME = 64, DN__TILE = 128 };
+enum { DN__MAX_FEATURES = 16, DN__MAX_CHAIN = 64, DN__MAX_SPANS = 16, DN__NAME = 64, DN__TILE = 128 };
 typedef enum dn__kind { DN__LINEAR, DN__GAT_BLOCK } dn__kind;
 
 typedef struct dn__block { /* one named layer */
@@ -6700,6 +8091,8 @@ typedef struct dn__block { /* one named layer */
    size_t in, out;
    dn_linear linear;
    dn_gat gat;
+   dn__reduced reduced; /* of a block at reduced precision, whose linear or gat is then empty but for the kernel; text NULL: float32 */
+   dn__span span;       /* int8: what the cells made of its output stand for; width 0: it is read as floats */
 } dn__block;
 
 struct dn__blend_net;
@@ -6717,6 +8110,7 @@ typedef struct dn__branch { /* blocks around a pool, and the layers after them *
    size_t locals;           /* blocks of its dense module, which come first; clothnet has none */
    dn_pool pool;
    char pool_name[DN__NAME], unpool_name[DN__NAME];
+   dn__span pooled, unpooled; /* int8: as a block's span */
 } dn__branch;
 
 struct dn_model {
@@ -6739,6 +8133,11 @@ typedef struct dn__loader {
    dn_error *err;
    dn_precision precision;
    dn_kernel kernel;
+   int float_rows;         /* the next block reads floats, so is packed as float32 unless precision is of weights alone */
+   int float_output;       /* its output is read as floats */
+   dn__span spans[DN__MAX_SPANS]; /* int8: of the row that the next block reads, from its first column on */
+   size_t span_count;
+   dn__span made;          /* of the block added last */
    dn_result failed;       /* first failure; everything after it does nothing */
    dn__arena memory;       /* the model's */
    dn__arena temp;         /* floats of one layer; reset for each */
@@ -6960,6 +8359,88 @@ static void dn__pack_first(dn__loader *l, dn__block *b, const float *weight, con
    b->linear.kernel = l->kernel;
    dn_linear_pack(&l->model->bound, s->bound_width, b->out, part + b->out * live, bias, bn, DN_ACT_NONE, bound_memory);
 }
+/* name.range [2, width], the least and the most of each column, as what 8-bit cells of such rows stand for (>>reduced). Only
+   int8 needs ranges. */
+static dn__span dn__span_of(dn__loader *l, const char *name, size_t width)
+{
+   dn__span span;
+   char full[DN__NAME + 24], text[120];
+   const float *range;
+   float *middle, *step, *inverse, *offset;
+   size_t c;
+   memset(&span, 0, sizeof span);
+   if (l->failed || l->precision != DN_PRECISION_INT8) return span;
+   dn__join(full, sizeof full, name, ".range");
+   if (!dn_tensors_find(l->file, full)) {
+      dn__load_fail(l, DN_MISSING_TENSOR, full, ": not in the file; int8 needs it, examples/calibrate measures it");
+      return span;
+   }
+   range = dn__floats(l, dn__want(l, full, 2, 2, width));
+   span.width = width;
+   span.middle = middle = (float *)dn__take(&l->memory, width, sizeof(float));
+   span.step = step = (float *)dn__take(&l->memory, width, sizeof(float));
+   span.inverse = inverse = (float *)dn__take(&l->memory, dn__add(width, 2 * DN_PANEL), sizeof(float));
+   span.offset = offset = (float *)dn__take(&l->memory, dn__add(width, 2 * DN_PANEL), sizeof(float));
+   if (!l->packing || l->failed) return span;
+   memset(inverse, 0, (width + 2 * DN_PANEL) * sizeof(float)); /* whole registers are read past the end */
+   memset(offset, 0, (width + 2 * DN_PANEL) * sizeof(float));
+   for (c = 0; c < width; c++) {
+      double least = (double)range[c], most = (double)range[width + c];
+      middle[c] = dn__narrow((most + least) / 2);
+      step[c] = dn__narrow((most - least) / 254);
+      inverse[c] = step[c] > 0.0f ? dn__narrow(1.0 / (double)step[c]) : 0.0f;
+      offset[c] = dn__narrow(128.0 - (double)middle[c] * (double)inverse[c]);
+      if (!(least < most) || !(step[c] > 1e-30f) || DN_FABSF(offset[c]) > 1e7f) {
+         dn__number(text, sizeof text, ": channel ", c, ": expected the least value below the most, by more than rounding");
+         dn__load_fail(l, DN_BAD_VALUE, full, text);
+         break;
+      }
+   }
+   return span;
+}
+/* the next block reads: what the last one made alone; or that in front of what the last one read (T 3.6) */
+static void dn__spans_reset(dn__loader *l, dn__span span)
+{
+   l->spans[0] = span;
+   l->span_count = 1;
+}
+static void dn__spans_join(dn__loader *l, dn__span span)
+{
+   DN_ASSERT(l->span_count < DN__MAX_SPANS);
+   memmove(l->spans + 1, l->spans, l->span_count * sizeof *l->spans);
+   l->spans[0] = span;
+   l->span_count++;
+}
+/* Packs a block at the loader's precision, if that is a reduced one and the block does not read floats; 0: it is the caller's
+   to pack as float32. Arguments as dn__reduced_fill's; NULL while measuring. */
+static int dn__pack_reduced(dn__loader *l, dn__block *b, size_t heads, size_t features, size_t self, dn_activation act,
+                            const float *lin, const float *dst, const float *src, const float *own, const float *bias,
+                            const dn_batchnorm *bn)
+{
+   dn__reduced *r = &b->reduced;
+   double *row;
+   int reduces = l->precision != DN_PRECISION_F32 && !l->float_rows;
+   if (!l->float_output) b->span = l->made = dn__span_of(l, b->name, b->out);
+   if (!reduces) return 0;
+   dn__reduced_make(r, l->precision, l->kernel, b->in, heads, features, self, act);
+   dn__reduced_lay(r, &l->memory);
+   row = (double *)dn__take(&l->temp, b->in, sizeof *row);
+   l->temp_peak = dn__max(l->temp_peak, l->temp.used);
+   if (l->float_output) r->to = DN__FLOAT;
+   r->inverse = b->span.inverse;
+   r->offset = b->span.offset;
+   if (l->packing && !l->failed) {
+      dn__reduced_fill(r, lin, dst, src, own, bias, bn, l->spans, row);
+      b->gat.heads = heads; /* what the rest of the library asks a block */
+      b->gat.features = features;
+      b->gat.self = self;
+      b->gat.in = b->linear.in = b->in;
+      b->linear.out = b->out;
+      b->gat.kernel = b->linear.kernel = l->kernel;
+      b->gat.activation = b->linear.activation = act;
+   }
+   return 1;
+}
 /* A linear layer by name; in = 0 takes whatever width the file has. Returns its output width. */
 static size_t dn__add_linear(dn__loader *l, const char *name, size_t *in, size_t out, dn_activation act)
 {
@@ -6985,6 +8466,7 @@ static size_t dn__add_linear(dn__loader *l, const char *name, size_t *in, size_t
       dn__pack_first(l, b, weight, bias, has_bn ? &bn : NULL, act);
       return b->out;
    }
+   if (dn__pack_reduced(l, b, 0, 0, b->out, act, NULL, NULL, NULL, weight, bias, has_bn ? &bn : NULL)) return b->out;
    memory = dn__take(&l->memory, dn_linear_size(b->in, b->out), 1);
    if (l->packing && !l->failed) {
       dn_linear_pack(&b->linear, b->in, b->out, weight, bias, has_bn ? &bn : NULL, act, memory);
@@ -7029,6 +8511,7 @@ static size_t dn__add_gat(dn__loader *l, const char *name, size_t *in, dn_activa
    f_src = dn__floats(l, src);
    if (self) f_self = dn__floats(l, self);
    has_bn = dn__batchnorm(l, name, b->out, &bn);
+   if (dn__pack_reduced(l, b, heads, features, selfs, act, f_lin, f_dst, f_src, f_self, NULL, has_bn ? &bn : NULL)) return b->out;
    memory = dn__take(&l->memory, dn_gat_size(b->in, heads, features, selfs), 1);
    if (l->packing && !l->failed) {
       dn_gat_pack(&b->gat, b->in, heads, features, selfs, f_lin, f_dst, f_src, f_self, has_bn ? &bn : NULL, act,
@@ -7064,30 +8547,41 @@ static void dn__add_branch(dn__loader *l, const char *prefix, size_t which, size
    f_src = dn__floats(l, src);
    dn__join(full, sizeof full, name, ".offset");
    if (dn_tensors_find(l->file, full)) f_offset = dn__floats(l, dn__want(l, full, 1, 1, 0));
+   q->pooled = dn__span_of(l, name, in);
    memory = dn__take(&l->memory, dn_pool_size(in, lin->shape[0]), 1);
    if (l->packing && !l->failed)
       dn_pool_pack(&q->pool, in, lin->shape[0], f_lin, f_dst, f_src, f_offset ? f_offset[0] : 0.0f, memory);
 }
 
-/* pre.N, gat.N or post.N as many as the file has, from 0 without gaps */
-static size_t dn__add_chain(dn__loader *l, const char *stem, dn__kind kind, size_t *first_in, size_t width,
+static int dn__chain_has(const dn__loader *l, const char *stem, size_t n, dn__kind kind)
+{
+   char probe[DN__NAME];
+   dn__number(probe, sizeof probe, stem, n, kind == DN__LINEAR ? ".weight" : ".lin.weight");
+   return dn_tensors_find(l->file, probe) != NULL;
+}
+/* pre.N, gat.N or post.N as many as the file has, from 0 without gaps; followed: by other layers of kinds that may be reduced */
+static size_t dn__add_chain(dn__loader *l, const char *stem, dn__kind kind, int followed, size_t *first_in, size_t width,
                             size_t *count)
 {
    size_t n;
-   for (n = 0; !l->failed; n++) {
-      char name[DN__NAME], probe[DN__NAME + 24];
+   int pre = dn__name_equal(stem, "pre.");
+   for (n = 0; !l->failed && dn__chain_has(l, stem, n, kind); n++) {
+      char name[DN__NAME];
       size_t in = width;
+      int more = dn__chain_has(l, stem, n + 1, kind);
       dn__number(name, sizeof name, stem, n, "");
-      dn__join(probe, sizeof probe, name, kind == DN__LINEAR ? ".weight" : ".lin.weight");
-      if (!dn_tensors_find(l->file, probe)) break;
       if (n == DN__MAX_CHAIN) {
          dn__load_fail(l, DN_UNSUPPORTED, name, ": more than 64 layers of one kind");
          break;
       }
+      l->float_rows = pre || *first_in == 0;
+      l->float_output = pre ? more || !followed : !more && !followed;
       width = kind == DN__LINEAR ? dn__add_linear(l, name, &in, 0, DN_ACT_TANH)
          : dn__add_gat(l, name, &in, DN_ACT_TANH);
+      dn__spans_reset(l, l->made);
       if (*first_in == 0) *first_in = in;
    }
+   l->float_rows = l->float_output = 1; /* as `out` is */
    *count = n;
    return width;
 }
@@ -7101,6 +8595,7 @@ static size_t dn__add_dense(dn__loader *l, const char *stem, size_t count, size_
       size_t f;
       dn__number(name, sizeof name, stem, b, "");
       f = dn__add_gat(l, name, &w, act); /* the next block reads f_b || x_b */
+      dn__spans_join(l, l->made);
       if (b == 0) *in = w;
       w = dn__add(w, f);
    }
@@ -7114,6 +8609,7 @@ static size_t dn__add_gats(dn__loader *l, const char *stem, size_t from, size_t 
       char name[DN__NAME];
       dn__number(name, sizeof name, stem, b, "");
       in = dn__add_gat(l, name, &in, act);
+      dn__spans_reset(l, l->made);
    }
    return in;
 }
@@ -7123,10 +8619,26 @@ static void dn__add_tail(dn__loader *l, const char *prefix, size_t in, dn_activa
    char name[DN__NAME];
    dn__join(name, sizeof name, prefix, "post.0");
    in = dn__add_linear(l, name, &in, 0, act);
+   dn__spans_reset(l, l->made);
    dn__join(name, sizeof name, prefix, "post.1");
+   l->float_output = 1;
    in = dn__add_linear(l, name, &in, 0, act);
    dn__join(name, sizeof name, prefix, "out");
+   l->float_rows = 1;
    dn__add_linear(l, name, &in, out, DN_ACT_NONE);
+   l->float_rows = l->float_output = 0; /* another tail may follow */
+}
+/* pre.0 and pre.1, float32 always; what comes after them need not be */
+static size_t dn__add_pre(dn__loader *l, size_t *in)
+{
+   size_t w;
+   l->float_rows = l->float_output = 1;
+   w = dn__add_linear(l, "pre.0", in, 0, DN_ACT_TANH);
+   l->float_output = 0;
+   w = dn__add_linear(l, "pre.1", &w, 0, DN_ACT_TANH);
+   l->float_rows = 0;
+   dn__spans_reset(l, l->made);
+   return w;
 }
 /* Local and global side by side (T 3.3, 3.13): `locals` blocks as a dense module; pool, global.0, global.1, unpool,
    global.2. Returns the width of both. */
@@ -7134,12 +8646,23 @@ static size_t dn__add_local_global(dn__loader *l, const char *prefix, size_t whi
                                    dn_activation act)
 {
    char stem[DN__NAME];
-   size_t first = l->model->block_count, local, global;
+   size_t first = l->model->block_count, local, global, count, k;
+   dn__span spans[DN__MAX_SPANS];
    dn__join(stem, sizeof stem, prefix, "local.");
    local = dn__add_dense(l, stem, locals, &in, act);
    dn__add_branch(l, prefix, which, first, locals, in);
+   memcpy(spans, l->spans, sizeof spans);
+   count = l->span_count;
    dn__join(stem, sizeof stem, prefix, "global.");
-   global = dn__add_gats(l, stem, 0, 3, in, act);
+   dn__spans_reset(l, l->model->branch[which].pooled);
+   global = dn__add_gats(l, stem, 0, 1, in, act);
+   l->float_output = 1; /* unpooled as floats */
+   global = dn__add_gats(l, stem, 1, 2, global, act);
+   l->float_output = 0;
+   l->model->branch[which].unpooled = dn__span_of(l, l->model->branch[which].unpool_name, global);
+   dn__spans_reset(l, l->model->branch[which].unpooled);
+   global = dn__add_gats(l, stem, 2, 3, global, act);
+   for (k = count; k > 0; k--) dn__spans_join(l, spans[k - 1]); /* local || global */
    return dn__add(local, global);
 }
 static void dn__build_garment(dn__loader *l, dn_arch arch); /* >>garmentnets */
@@ -7156,27 +8679,29 @@ static void dn__build_model(dn__loader *l, dn_arch arch)
       return;
    }
    if (arch == DN_DENSEGATS) { /* T 3.2 */
-      w = dn__add_linear(l, "pre.0", &in, 0, DN_ACT_TANH);
-      w = dn__add_linear(l, "pre.1", &w, 0, DN_ACT_TANH);
+      w = dn__add_pre(l, &in);
       for (k = 0; k < 3; k++) {
          dn__number(name, sizeof name, "dense.", k, ".");
          w = dn__add_dense(l, name, 6, &w, DN_ACT_TANHSHRINK);
          if (k == 2) break;
          dn__number(name, sizeof name, "transition.", k, "");
          w = dn__add_gat(l, name, &w, DN_ACT_TANHSHRINK);
+         dn__spans_reset(l, l->made);
       }
       dn__add_tail(l, "", w, DN_ACT_TANH, 3);
    } else if (arch == DN_MULTIRESGNET) {
-      w = dn__add_linear(l, "pre.0", &in, 0, DN_ACT_TANH);
-      w = dn__add_linear(l, "pre.1", &w, 0, DN_ACT_TANH);
+      w = dn__add_pre(l, &in);
       w = dn__add_local_global(l, "", 0, 2, w, DN_ACT_TANHSHRINK);
       dn__add_tail(l, "", w, DN_ACT_TANH, 3);
    } else { /* baselines */
       m->chain[0] = m->chain[1] = m->chain[2] = 0;
       w = 0;
-      if (arch != DN_GAT) w = dn__add_chain(l, "pre.", DN__LINEAR, &in, w, &m->chain[0]);
-      if (arch != DN_MLP) w = dn__add_chain(l, "gat.", DN__GAT_BLOCK, &in, w, &m->chain[1]);
-      if (arch == DN_NEUROSKINNING) w = dn__add_chain(l, "post.", DN__LINEAR, &in, w, &m->chain[2]);
+      int gats = arch != DN_MLP && dn__chain_has(l, "gat.", 0, DN__GAT_BLOCK);
+      int posts = arch == DN_NEUROSKINNING && dn__chain_has(l, "post.", 0, DN__LINEAR);
+      l->float_rows = l->float_output = 1;
+      if (arch != DN_GAT) w = dn__add_chain(l, "pre.", DN__LINEAR, gats || posts, &in, w, &m->chain[0]);
+      if (arch != DN_MLP) w = dn__add_chain(l, "gat.", DN__GAT_BLOCK, posts, &in, w, &m->chain[1]);
+      if (arch == DN_NEUROSKINNING) w = dn__add_chain(l, "post.", DN__LINEAR, 0, &in, w, &m->chain[2]);
       out_in = w;
       dn__add_linear(l, "out", &out_in, 3, DN_ACT_NONE);
       if (in == 0) in = out_in;
@@ -7393,6 +8918,18 @@ static void dn__load_all(dn__loader *l, size_t blocks)
    }
    m->info.arch = (dn_arch)arch;
    m->info.arch_name = dn__arch_names[arch];
+   if (l->precision != DN_PRECISION_F32 && (m->info.arch == DN_NEURALBLENDSHAPES ||
+                                            (dn__is_garment(m) && l->precision != DN_PRECISION_F16))) {
+      char line[120];
+      dn__text t = dn__text_of(line, sizeof line);
+      dn__put(&t, ": found ");
+      dn__put(&t, dn_precision_name(l->precision));
+      dn__put(&t, ", expected f32");
+      dn__put(&t, m->info.arch == DN_NEURALBLENDSHAPES ? " for " : " or f16 for ");
+      dn__put(&t, m->info.arch_name);
+      dn__load_fail(l, DN_UNSUPPORTED, "options.precision", line);
+      return;
+   }
    two = m->info.arch == DN_CLOTHNET;
    if (m->info.arch != DN_NEURALBLENDSHAPES) dn__load_features(l, &m->stage[0], "deformnet.features");
    if (two) dn__load_features(l, &m->stage[1], "deformnet.features.detail");
@@ -7642,6 +9179,9 @@ typedef struct dn__op { /* one layer, or half of one, on the rows of a chunk */
    const float *add;             /* (N, the layer's width) linear: see dn_linear, or NULL */
    dn__rows x, y;                /* gather: x are the fine rows; scatter: the coarse ones. Attention reads z */
    size_t width;                 /* of y, numbers */
+   dn__cell cell;                /* of y */
+   const dn__span *span;         /* what they stand for where they have 8 bits */
+   const dn__reduced_text *text; /* copy: of floats into such cells; NULL: as they are */
    unsigned char *z;             /* products, attention: node n is row (n & mask) */
    size_t mask;
    const dn_pool *pool;          /* gather, scatter */
@@ -7672,6 +9212,7 @@ typedef struct dn__net { /* scratch of one evaluation, carved by dn__net_layout 
    float *side;          /* (N, side_width): garments: narrow stages; baselines: pong */
    float *coarse;        /* (M<=N, coarse_width): what is unpooled */
    void *gat;            /* the largest block's product, where blocks run one by one */
+   float *shown;         /* (the widest row) what a probe sees of cells */
    size_t wide_width, side_width, coarse_width;
    dn__plan plan[3];     /* of the waves: on the nodes; on the coarse graph; of point-wise layers alone */
    void *work;           /* one wave at a time */
@@ -7703,26 +9244,41 @@ static void dn__tap(const dn__run *r, const char *name, const float *rows, size_
    if (r->probe && r->probe->tap) r->probe->tap(r->probe->user, name, rows, first, count, width, stride);
 }
 
-/* --- what a wave does to a range of rows of one block */
-static size_t dn__cell(const dn__block *b) /* bytes of a number in the rows that a block reads */
+/* cells one row after the other, as floats */
+static void dn__tap_cells(const dn__run *r, const char *name, const unsigned char *rows, dn__cell cell, const dn__span *span,
+                          size_t first, size_t count, size_t width, size_t pitch)
 {
-   (void)b;
-   return sizeof(float);
+   size_t i;
+   if (cell == DN__FLOAT) dn__tap(r, name, (const float *)(const void *)rows, first, count, width, pitch / sizeof(float));
+   for (i = 0; cell != DN__FLOAT && i < count; i++) {
+      dn__floats_of_cells(rows + i * pitch, width, cell, span, r->n->shown);
+      dn__tap(r, name, r->n->shown, first + i, 1, width, width);
+   }
 }
-static size_t dn__z_pitch(const dn__block *b) { return dn__mul(dn__gat_stride(&b->gat), sizeof(float)); }
+
+/* --- what a wave does to a range of rows of one block */
+static dn__cell dn__reads(const dn__block *b) { return b->reduced.text ? b->reduced.from : DN__FLOAT; }
+static dn__cell dn__writes(const dn__block *b) { return b->reduced.text ? b->reduced.to : DN__FLOAT; }
+static size_t dn__cell_of(const dn__block *b) { return dn__cell_size(dn__reads(b)); } /* bytes */
+static size_t dn__z_pitch(const dn__block *b)
+{
+   return b->reduced.text ? dn__reduced_z_pitch(&b->reduced) : dn__mul(dn__gat_stride(&b->gat), sizeof(float));
+}
 /* z (rows, dn__z_pitch) and the self columns of y, activated; y starts with the block's first column */
 static void dn__block_products(const dn__block *b, const unsigned char *x, size_t x_pitch, unsigned char *z,
                                unsigned char *y, size_t y_pitch, size_t rows)
 {
-   dn__gat_rows(&b->gat, (const float *)(const void *)x, x_pitch / sizeof(float), (float *)(void *)z,
-                (float *)(void *)y, y_pitch / sizeof(float), 0, rows);
+   if (b->reduced.text) dn__reduced_products(&b->reduced, x, x_pitch, z, dn__z_pitch(b), y, y_pitch, rows);
+   else dn__gat_rows(&b->gat, (const float *)(const void *)x, x_pitch / sizeof(float), (float *)(void *)z,
+                     (float *)(void *)y, y_pitch / sizeof(float), 0, rows);
 }
 /* the other columns of y, nodes begin to end - 1; z of node n is row (n & mask), y starts with node `begin` */
 static void dn__block_attend(const dn__block *b, const dn_graph *g, const unsigned char *z, size_t mask,
                              unsigned char *y, size_t y_pitch, size_t begin, size_t end)
 {
    const dn__kernel *k = dn__kernel_of(b->gat.kernel);
-   (k ? k->attend : dn__attend_ref)(&b->gat, g, (const float *)(const void *)z, mask, (float *)(void *)y,
+   if (b->reduced.text) dn__reduced_attend(&b->reduced, b->gat.kernel, g, z, dn__z_pitch(b), mask, y, y_pitch, begin, end);
+   else (k ? k->attend : dn__attend_ref)(&b->gat, g, (const float *)(const void *)z, mask, (float *)(void *)y,
                                     y_pitch / sizeof(float), begin, end);
 }
 static void dn__op_rows(const dn__op *op, const dn_graph *g, size_t begin, size_t end)
@@ -7733,6 +9289,10 @@ static void dn__op_rows(const dn__op *op, const dn_graph *g, size_t begin, size_
    dn__pool_job pooled;
    switch (op->kind) {
    case DN__OP_LINEAR:
+      if (op->block->reduced.text) {
+         dn__reduced_products(&op->block->reduced, dn__row(&op->x, begin), op->x.pitch, NULL, 0, y, op->y.pitch, end - begin);
+         break;
+      }
       layer = op->block->linear;
       if (op->add) layer.add = op->add + begin * layer.out;
       dn__product(&layer, (const float *)(const void *)dn__row(&op->x, begin), op->x.pitch / sizeof(float),
@@ -7750,7 +9310,11 @@ static void dn__op_rows(const dn__op *op, const dn_graph *g, size_t begin, size_
       break;
    case DN__OP_ATTEND: dn__block_attend(op->block, g, op->z, op->mask, y, op->y.pitch, begin, end); break;
    case DN__OP_COPY:
-      for (n = begin; n < end; n++, y += op->y.pitch) memcpy(y, dn__row(&op->x, n), op->width * sizeof(float));
+      for (n = begin; n < end; n++, y += op->y.pitch) {
+         if (!op->text) memcpy(y, dn__row(&op->x, n), op->width * dn__cell_size(op->cell));
+         else op->text->cells((const float *)(const void *)dn__row(&op->x, n), op->width, y, op->cell, op->span->inverse,
+                              op->span->offset);
+      }
       break;
    case DN__OP_GATHER:
    case DN__OP_SCATTER:
@@ -7845,10 +9409,12 @@ static void dn__wave_open(dn__wave *w, const dn__run *r, const dn_graph *g, size
    w->tile = dn__rows_of(dn__take(&a, p->chunk, p->tile), p->tile, p->chunk);
    DN_ASSERT(a.used <= p->bytes && g->nodes <= p->nodes);
 }
-static dn__rows dn__wave_tile(dn__wave *w, size_t width) /* narrow rows that are read in the stage that writes them */
+static size_t dn__tile_bytes(size_t width, dn__cell cell) { return dn__round(dn__mul(width, dn__cell_size(cell)), 16); }
+/* narrow rows that are read in the stage that writes them */
+static dn__rows dn__wave_tile(dn__wave *w, size_t width, dn__cell cell)
 {
    dn__rows rows = dn__column(w->tile, w->tile_used);
-   w->tile_used += width * sizeof(float);
+   w->tile_used += dn__tile_bytes(width, cell);
    DN_ASSERT(w->tile_used <= w->plan->tile);
    return rows;
 }
@@ -7872,6 +9438,8 @@ static void dn__wave_linear(dn__wave *w, size_t stage, const dn__block *b, dn__r
 {
    dn__op *op = dn__wave_add(w, DN__OP_LINEAR, stage, b, x, y, b->out, b->in * b->out);
    op->name = b->name;
+   op->cell = dn__writes(b);
+   op->span = &b->span;
    if (b == w->r->m->blocks) op->add = w->r->start;
 }
 /* the products of a block in `stage`, its attention in the next one. number: which of the wave's blocks it is; turn: the
@@ -7888,6 +9456,30 @@ static void dn__wave_gat(dn__wave *w, size_t stage, const dn__block *b, size_t n
    products->z = attend->z = w->z + buffer * dn__round(p->z_rows * p->z, DN__ALIGN);
    products->mask = attend->mask = whole ? SIZE_MAX : p->z_rows - 1;
    attend->name = b->name;
+   attend->cell = dn__writes(b);
+   attend->span = &b->span;
+}
+/* x, floats, to where `reader` finds them as it reads them: y, in its cells */
+static void dn__wave_copy(dn__wave *w, size_t stage, dn__rows x, dn__rows y, size_t width, const dn__block *reader,
+                          const dn__span *span)
+{
+   dn__op *op = dn__wave_add(w, DN__OP_COPY, stage, NULL, x, y, width, width);
+   op->cell = dn__reads(reader);
+   op->span = span;
+   if (op->cell != DN__FLOAT) op->text = reader->reduced.text;
+}
+/* the same in a tile; x itself where the reader reads floats */
+static dn__rows dn__wave_cells(dn__wave *w, size_t stage, dn__rows x, size_t width, const dn__block *reader, const dn__span *span)
+{
+   dn__rows y;
+   if (dn__reads(reader) == DN__FLOAT) return x;
+   y = dn__wave_tile(w, width, dn__reads(reader));
+   dn__wave_copy(w, stage, x, y, width, reader, span);
+   return y;
+}
+static size_t dn__cells_bytes(size_t width, const dn__block *reader) /* of the two tiles that takes */
+{
+   return dn__add(dn__tile_bytes(width, DN__FLOAT), dn__reads(reader) == DN__FLOAT ? 0 : dn__tile_bytes(width, dn__reads(reader)));
 }
 /* A dense module (T 3.6) from `stage` on: x_0 stands in the wide row, x_b+1 = f_b(x_b) || x_b grows to the left of it.
    Returns x_m, which is there in stage `stage` + count. */
@@ -7896,7 +9488,7 @@ static dn__rows dn__wave_dense(dn__wave *w, size_t stage, const dn__block *b, si
    size_t i;
    for (i = 0; i < count; i++) {
       dn__rows f = x;
-      f.at -= b[i].out * dn__cell(&b[i]);
+      f.at -= b[i].out * dn__cell_of(&b[i]);
       dn__wave_gat(w, stage + i, &b[i], i, i % 2, x, f);
       x = f;
    }
@@ -7905,7 +9497,7 @@ static dn__rows dn__wave_dense(dn__wave *w, size_t stage, const dn__block *b, si
 /* post.0, post.1, out: half of a network's arithmetic, whose rows never leave the cache */
 static void dn__wave_tail(dn__wave *w, size_t stage, const dn__block *b, dn__rows x, float *y)
 {
-   dn__rows t0 = dn__wave_tile(w, b[0].out), t1 = dn__wave_tile(w, b[1].out);
+   dn__rows t0 = dn__wave_tile(w, b[0].out, dn__writes(&b[0])), t1 = dn__wave_tile(w, b[1].out, dn__writes(&b[1]));
    dn__wave_linear(w, stage, &b[0], x, t0);
    dn__wave_linear(w, stage, &b[1], t0, t1);
    dn__wave_linear(w, stage, &b[2], t1, dn__rows_of(y, b[2].out * sizeof(float), SIZE_MAX));
@@ -7955,9 +9547,8 @@ static void dn__wave_run(dn__wave *w)
       for (i = 0; i < w->ops && r->probe; i++) /* on the thread that called, while the rows are there */
          for (u = 0; u < w->units; u++)
             if (w->op[i].name && w->unit[u].stage == w->op[i].stage)
-               dn__tap(r, w->op[i].name, (const float *)(const void *)dn__row(&w->op[i].y, w->unit[u].begin),
-                       w->unit[u].begin, w->unit[u].end - w->unit[u].begin, w->op[i].width,
-                       w->op[i].y.pitch / sizeof(float));
+               dn__tap_cells(r, w->op[i].name, dn__row(&w->op[i].y, w->unit[u].begin), w->op[i].cell, w->op[i].span,
+                             w->unit[u].begin, w->unit[u].end - w->unit[u].begin, w->op[i].width, w->op[i].y.pitch);
    }
 }
 
@@ -7966,7 +9557,7 @@ static size_t dn__block_scratch(const dn__block *b, size_t count, size_t nodes)
 {
    size_t i, need = 0;
    for (i = 0; i < count; i++)
-      if (b[i].kind == DN__GAT_BLOCK) need = dn__max(need, dn_gat_scratch(&b[i].gat, nodes));
+      if (b[i].kind == DN__GAT_BLOCK) need = dn__max(need, dn__mul(nodes, dn__z_pitch(&b[i])));
    return need;
 }
 static void dn__clusters_layout(dn_clusters *c, size_t nodes, size_t neighbours, dn__arena *a)
@@ -7976,7 +9567,10 @@ static void dn__clusters_layout(dn_clusters *c, size_t nodes, size_t neighbours,
    c->coarse_first = (uint32_t *)dn__take(a, dn__add(nodes, 1), sizeof(uint32_t));
    c->coarse_next = (uint32_t *)dn__take(a, neighbours, sizeof(uint32_t));
 }
-static size_t dn__tail_bytes(const dn__block *post) { return dn__mul(dn__add(post[0].out, post[1].out), sizeof(float)); }
+static size_t dn__tail_bytes(const dn__block *post)
+{
+   return dn__add(dn__tile_bytes(post[0].out, dn__writes(&post[0])), dn__tile_bytes(post[1].out, dn__writes(&post[1])));
+}
 static size_t dn__widest_z(const dn__block *b, size_t count)
 {
    size_t i, z = 0;
@@ -8021,15 +9615,15 @@ static void dn__local_global_plan(dn__net *n, const dn__extent *e, const dn__blo
    p->turns = 3; /* two for the module, one for global.2 beside it */
    p->wide = dn__max(p->wide, wide);
    p->z = dn__max(p->z, dn__widest_z(global - locals, locals + 3));
-   p->tile = dn__max(p->tile, dn__add(dn__mul(global[1].out, dn__cell(global + 2)), dn__tail_bytes(global + 3)));
+   p->tile = dn__max(p->tile, dn__add(dn__cells_bytes(global[1].out, global + 2), dn__tail_bytes(global + 3)));
    p = &n->plan[DN__ON_COARSE];
    p->nodes = e->coarse_nodes;
    p->bandwidth = e->coarse_bandwidth;
    p->depth = 1;
    p->blocks = p->turns = 2;
-   p->wide = dn__max(p->wide, dn__mul(global[0].out, dn__cell(global + 1)));
+   p->wide = dn__max(p->wide, dn__mul(global[0].out, dn__cell_of(global + 1)));
    p->z = dn__max(p->z, dn__widest_z(global, 2));
-   p->tile = dn__max(p->tile, dn__mul(global[0].in, dn__cell(global)));
+   p->tile = dn__max(p->tile, dn__cells_bytes(global[0].in, global));
    n->coarse_width = dn__max(n->coarse_width, global[1].out);
 }
 static void dn__net_layout(dn__net *n, const dn_model *m, const dn__extent *e, unsigned workers, dn__arena *a)
@@ -8044,41 +9638,86 @@ static void dn__net_layout(dn__net *n, const dn_model *m, const dn__extent *e, u
       p->depth = 6;
       p->blocks = 7;
       p->turns = 2;
-      for (i = 7; i <= 21; i += 7) p->wide = dn__max(p->wide, dn__mul(dn__add(b[i].in, b[i].out), dn__cell(&b[i])));
+      for (i = 7; i <= 21; i += 7) p->wide = dn__max(p->wide, dn__mul(dn__add(b[i].in, b[i].out), dn__cell_of(&b[i])));
       p->z = dn__widest_z(b + 2, 20);
-      p->tile = dn__max(dn__mul(b[0].out, sizeof(float)), dn__tail_bytes(b + 22));
+      p->tile = dn__max(dn__add(dn__tile_bytes(b[0].out, DN__FLOAT), dn__cells_bytes(b[1].out, b + 2)), dn__tail_bytes(b + 22));
       n->wide_width = dn__max(b[8].out, b[15].out);
    } else if (m->info.arch == DN_MULTIRESGNET) { /* b: pre 0-1, local 2-3, global 4-6, post 7-8, out 9 */
-      dn__local_global_plan(n, e, b + 4, 2, dn__mul(b[7].in, dn__cell(&b[6])));
+      dn__local_global_plan(n, e, b + 4, 2, dn__mul(b[7].in, dn__cell_of(&b[6])));
       n->wide_width = b[1].out;
       p[DN__POINTWISE].nodes = e->nodes;
-      p[DN__POINTWISE].tile = dn__mul(b[0].out, sizeof(float));
+      p[DN__POINTWISE].tile = dn__tile_bytes(b[0].out, DN__FLOAT);
    } else {
       size_t widest = 0, all = 0;
-      for (i = 0; i < last; i++) widest = dn__max(widest, b[i].out), all = dn__add(all, b[i].out);
+      for (i = 0; i < last; i++) widest = dn__max(widest, b[i].out), all = dn__add(all, dn__tile_bytes(b[i].out, DN__FLOAT));
       if (m->info.arch == DN_MLP) {
          p[DN__POINTWISE].nodes = e->nodes;
-         p[DN__POINTWISE].tile = dn__mul(all, sizeof(float));
+         p[DN__POINTWISE].tile = all;
       } else n->wide_width = n->side_width = widest;
    }
    n->wide = (float *)dn__take(a, dn__mul(e->nodes, n->wide_width), sizeof(float));
    n->side = (float *)dn__take(a, dn__mul(e->nodes, n->side_width), sizeof(float));
    if (m->info.arch == DN_GAT || m->info.arch == DN_NEUROSKINNING)
       n->gat = dn__take(a, dn__block_scratch(b, m->block_count, e->nodes), 1);
+   if (m->info.precision >= DN_PRECISION_BF16) {
+      size_t widest = 0;
+      for (i = 0; i <= last; i++) widest = dn__max(widest, b[i].out);
+      n->shown = (float *)dn__take(a, widest, sizeof(float));
+   }
    dn__work_layout(n, m->block_count, workers, a);
    if (m->info.arch == DN_MULTIRESGNET) dn__pool_layout(n, 1, e, a);
 }
 
 /* --- how they run */
+typedef struct dn__block_job { const dn__run *r; const dn__block *b; const dn_graph *g; dn__rows x, y; const dn__reduced_text *text; const dn__span *span; } dn__block_job;
+static void dn__block_range(void *job, size_t begin, size_t end, unsigned worker) /* a layer; the products of a block */
+{
+   const dn__block_job *j = (const dn__block_job *)job;
+   unsigned char *z = j->b->kind == DN__LINEAR ? NULL : (unsigned char *)j->r->n->gat + begin * dn__z_pitch(j->b);
+   (void)worker;
+   dn__reduced_products(&j->b->reduced, dn__row(&j->x, begin), j->x.pitch, z, z ? dn__z_pitch(j->b) : 0, dn__row(&j->y, begin),
+                        j->y.pitch, end - begin);
+}
+static void dn__attend_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const dn__block_job *j = (const dn__block_job *)job;
+   (void)worker;
+   dn__block_attend(j->b, j->g, (const unsigned char *)j->r->n->gat, SIZE_MAX, dn__row(&j->y, begin), j->y.pitch, begin, end);
+}
+static void dn__cells_range(void *job, size_t begin, size_t end, unsigned worker) /* floats to what b reads */
+{
+   const dn__block_job *j = (const dn__block_job *)job;
+   (void)worker;
+   for (; begin < end; begin++)
+      j->b->reduced.text->cells((const float *)(const void *)dn__row(&j->x, begin), j->b->in, dn__row(&j->y, begin), dn__reads(j->b),
+                                j->span->inverse, j->span->offset);
+}
+/* one block on all nodes: x and y in the cells that it reads and writes */
+static void dn__run_block_rows(const dn__run *r, const dn__block *b, const dn_graph *g, dn__rows x, dn__rows y)
+{
+   const float *from = (const float *)(const void *)x.at;
+   float *to = (float *)(void *)y.at;
+   if (b->reduced.text) {
+      dn__block_job j;
+      memset(&j, 0, sizeof j);
+      j.r = r;
+      j.b = b;
+      j.g = g;
+      j.x = x;
+      j.y = y;
+      dn__for(r->par, g->nodes, DN__GRAIN, dn__block_range, &j);
+      if (b->kind == DN__GAT_BLOCK) dn__for(r->par, g->nodes, DN__GRAIN, dn__attend_range, &j);
+   } else if (b->kind == DN__LINEAR) {
+      dn_linear layer = b->linear;
+      if (b == r->m->blocks) layer.add = r->start;
+      dn_linear_run(&layer, from, x.pitch / sizeof(float), g->nodes, to, y.pitch / sizeof(float), r->par);
+   } else dn_gat_run(&b->gat, g, from, x.pitch / sizeof(float), to, y.pitch / sizeof(float), r->n->gat, r->par);
+   dn__tap_cells(r, b->name, y.at, dn__writes(b), &b->span, 0, g->nodes, b->out, y.pitch);
+}
 static void dn__run_block(const dn__run *r, const dn__block *b, const dn_graph *g, const float *x, size_t x_stride,
                           float *y, size_t y_stride)
 {
-   if (b->kind == DN__LINEAR) {
-      dn_linear layer = b->linear;
-      if (b == r->m->blocks) layer.add = r->start;
-      dn_linear_run(&layer, x, x_stride, g->nodes, y, y_stride, r->par);
-   } else dn_gat_run(&b->gat, g, x, x_stride, y, y_stride, r->n->gat, r->par);
-   dn__tap(r, b->name, y, 0, g->nodes, b->out, y_stride);
+   dn__run_block_rows(r, b, g, dn__rows_of(x, x_stride * sizeof(float), SIZE_MAX), dn__rows_of(y, y_stride * sizeof(float), SIZE_MAX));
 }
 static dn__rows dn__floats_of(const float *rows, size_t width) { return dn__rows_of(rows, width * sizeof(float), SIZE_MAX); }
 
@@ -8092,16 +9731,17 @@ static void dn__run_densegats(const dn__run *r, const float *rows, float *y)
    size_t k;
    for (k = 0; k < 3; k++) {
       const dn__block *into = &b[1 + 7 * k], *module = into + 1; /* into: pre.1, transition.0, transition.1 */
-      size_t cell = dn__cell(module), at = module[5].in + module[5].out - into->out;
-      dn__rows x, x0 = dn__floats_of(n->wide, n->wide_width);
+      size_t cell = dn__cell_of(module), at = module[5].in + module[5].out - into->out;
+      dn__rows x, x0 = dn__rows_of(n->wide, n->wide_width * cell, SIZE_MAX);
       dn__wave w;
       dn__wave_open(&w, r, r->g, DN__ON_NODES);
       x = dn__column(w.wide, at * cell);
       if (k == 0) {
-         dn__rows t = dn__wave_tile(&w, b[0].out);
+         dn__rows t = dn__wave_tile(&w, b[0].out, DN__FLOAT), u = dn__wave_tile(&w, b[1].out, DN__FLOAT);
          dn__wave_linear(&w, 0, &b[0], dn__floats_of(rows, dn__live_width(r->stage)), t);
-         dn__wave_linear(&w, 0, &b[1], t, x);
-      } else dn__wave_add(&w, DN__OP_COPY, 0, NULL, x0, x, into->out, into->out);
+         dn__wave_linear(&w, 0, &b[1], t, u);
+         dn__wave_copy(&w, 0, u, x, into->out, module, &into->span);
+      } else dn__wave_add(&w, DN__OP_COPY, 0, NULL, x0, x, into->out, into->out)->cell = dn__reads(module);
       x = dn__wave_dense(&w, 0, module, 6, x);
       if (k < 2) dn__wave_gat(&w, 6, module + 6, 6, 0, x, x0);
       else dn__wave_tail(&w, 6, b + 22, x, y);
@@ -8131,11 +9771,12 @@ static void dn__run_coarse(const dn__run *r, const dn__branch *q, const dn_clust
    dn__op *gather;
    dn__rows pooled;
    dn__wave_open(&w, r, &c->graph, DN__ON_COARSE);
-   pooled = dn__wave_tile(&w, global[0].in);
+   pooled = dn__wave_tile(&w, global[0].in, DN__FLOAT);
    gather = dn__wave_add(&w, DN__OP_GATHER, 0, NULL, x, pooled, global[0].in, 2 * global[0].in);
    gather->pool = &q->pool;
    gather->clusters = c;
    gather->name = q->pool_name;
+   pooled = dn__wave_cells(&w, 0, pooled, global[0].in, &global[0], &q->pooled);
    dn__wave_gat(&w, 0, &global[0], 0, 0, pooled, w.wide);
    dn__wave_gat(&w, 1, &global[1], 1, 1, w.wide, dn__floats_of(r->n->coarse, global[1].out));
    dn__wave_run(&w);
@@ -8151,7 +9792,7 @@ static void dn__run_local_global(const dn__run *r, size_t which, const dn__block
 {
    const dn__branch *q = &r->m->branch[which];
    const dn__block *global = local + locals;
-   size_t cell = dn__cell(global + 2), width = global[0].in, stage = locals ? locals - 1 : 0;
+   size_t cell = dn__cell_of(global + 2), width = global[0].in, stage = locals ? locals - 1 : 0;
    dn_clusters c;
    dn__wave w;
    dn__rows unpooled, g2;
@@ -8163,18 +9804,19 @@ static void dn__run_local_global(const dn__run *r, size_t which, const dn__block
    if (locals) {
       if (!beside) {
          dn__rows x0 = dn__column(w.wide, (global[-1].in + global[-1].out - width) * cell);
-         dn__wave_add(&w, DN__OP_COPY, 0, NULL, x, x0, width, width);
+         dn__wave_copy(&w, 0, x, x0, width, local, &local[-1].span);
          x = x0;
       }
       dn__wave_dense(&w, 0, local, locals, x);
       g2 = dn__column(x, width * cell);
    }
-   unpooled = dn__wave_tile(&w, global[1].out);
+   unpooled = dn__wave_tile(&w, global[1].out, DN__FLOAT);
    scatter = dn__wave_add(&w, DN__OP_SCATTER, stage, NULL, dn__floats_of(r->n->coarse, global[1].out), unpooled,
                           global[1].out, 2 * global[1].out);
    scatter->pool = &q->pool;
    scatter->clusters = &c;
    scatter->name = q->unpool_name;
+   unpooled = dn__wave_cells(&w, stage, unpooled, global[1].out, &global[2], &q->unpooled);
    dn__wave_gat(&w, stage, &global[2], locals, dn__min(locals, 2), unpooled, g2);                       /* T 3.13 */
    g2.at += global[2].out * cell; /* the tail's rows end there */
    g2.at -= global[3].in * cell;
@@ -8188,7 +9830,7 @@ static void dn__run_multiresgnet(const dn__run *r, const float *rows, float *y)
    dn__rows x = dn__floats_of(r->n->wide, r->n->wide_width), t;
    dn__wave w;
    dn__wave_open(&w, r, r->g, DN__POINTWISE);
-   t = dn__wave_tile(&w, b[0].out);
+   t = dn__wave_tile(&w, b[0].out, DN__FLOAT);
    dn__wave_linear(&w, 0, &b[0], dn__floats_of(rows, dn__live_width(r->stage)), t);
    dn__wave_linear(&w, 0, &b[1], t, x);
    dn__wave_run(&w);
@@ -8203,26 +9845,36 @@ static void dn__run_mlp(const dn__run *r, const float *rows, float *y)
    dn__wave w;
    dn__wave_open(&w, r, r->g, DN__POINTWISE);
    for (i = 0; i < last; i++) {
-      dn__rows out = dn__wave_tile(&w, b[i].out);
+      dn__rows out = dn__wave_tile(&w, b[i].out, DN__FLOAT);
       dn__wave_linear(&w, 0, &b[i], x, out);
       x = out;
    }
    dn__wave_linear(&w, 0, &b[last], x, dn__floats_of(y, 3));
    dn__wave_run(&w);
 }
-/* gat, neuroskinning: one block after the other */
+/* gat, neuroskinning: one block after the other, from one buffer to the other */
 static void dn__run_chain(const dn__run *r, const float *rows, float *y)
 {
    const dn__block *b = r->m->blocks;
-   const float *x = rows;
-   size_t i, stride = dn__live_width(r->stage), last = r->m->block_count - 1;
-   for (i = 0; i < last; i++) {
-      float *out = i % 2 ? r->n->side : r->n->wide;
-      dn__run_block(r, &b[i], r->g, x, stride, out, b[i].out);
-      x = out;
-      stride = b[i].out;
+   dn__rows x = dn__floats_of(rows, dn__live_width(r->stage));
+   size_t i, made = 0, last = r->m->block_count - 1;
+   for (i = 0; i <= last; i++) {
+      if (i && dn__writes(&b[i - 1]) == DN__FLOAT && dn__reads(&b[i]) != DN__FLOAT) {
+         dn__block_job j;
+         memset(&j, 0, sizeof j);
+         j.b = &b[i];
+         j.span = &b[i - 1].span;
+         j.x = x;
+         x = j.y = dn__rows_of(made++ % 2 ? r->n->side : r->n->wide, b[i].in * dn__cell_of(&b[i]), SIZE_MAX);
+         dn__for(r->par, r->g->nodes, DN__GRAIN, dn__cells_range, &j);
+      }
+      if (i < last) {
+         dn__rows out = dn__rows_of(made++ % 2 ? r->n->side : r->n->wide, b[i].out * dn__cell_size(dn__writes(&b[i])), SIZE_MAX);
+         dn__run_block_rows(r, &b[i], r->g, x, out);
+         x = out;
+      }
    }
-   dn__run_block(r, &b[last], r->g, x, stride, y, 3);
+   dn__run_block_rows(r, &b[last], r->g, x, dn__floats_of(y, 3));
 }
 static void dn__run_network(const dn__run *r, const float *rows, float *y)
 {
@@ -8294,6 +9946,7 @@ static void dn__build_garment(dn__loader *l, dn_arch arch)
       w = dn__add_gat(l, "gat.0", &in, DN_ACT_TANH);
       w = dn__add_gats(l, "gat.", 1, 4, w, DN_ACT_TANH);
       stage->row_width = in;
+      l->float_rows = l->float_output = 1;
       dn__add_linear(l, "dir.out", &w, 3, DN_ACT_NONE);
       dn__add_linear(l, "len.out", &w, 1, DN_ACT_NONE);
    } else if (arch == DN_GARFITNET) { /* T 4.3: gat.0-1, fit.0-2, then each branch local.0-3, global.0-2, post.0-1, out */
@@ -8383,7 +10036,7 @@ static void dn__garment_net_layout(dn__net *n, const dn_model *m, size_t s, cons
       for (k = 0; k < 2; k++) {
          const dn__block *q = b + 4 + 7 * k;
          n->side_width = dn__max(n->side_width, q[0].out);
-         dn__local_global_plan(n, e, q + 1, 0, dn__mul(q[3].out, dn__cell(q + 3)));
+         dn__local_global_plan(n, e, q + 1, 0, dn__mul(q[3].out, dn__cell_of(q + 3)));
       }
    }
    n->wide_width = dn__pitch(n->wide_width);
@@ -8412,7 +10065,8 @@ static void dn__run_parser(const dn__run *r, const dn__block *b)
    size_t k;
    for (k = 0; k < 3; k++) {
       float *y = code[k % 2];
-      dn_linear_run(&b[k].linear, x, b[k].in, 1, y, b[k].out, NULL);
+      if (b[k].reduced.text) dn__reduced_products(&b[k].reduced, (const unsigned char *)x, 0, NULL, 0, (unsigned char *)y, 0, 1);
+      else dn_linear_run(&b[k].linear, x, b[k].in, 1, y, b[k].out, NULL);
       dn__tap(r, b[k].name, y, 0, 1, b[k].out, b[k].out);
       x = y;
    }
@@ -15139,11 +16793,15 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__BLOCK_ROWS
 #undef DN__BUCKETS
 #undef DN__COLUMN
-#undef DN__COLUMN
 #undef DN__EACH14
 #undef DN__EACH3
 #undef DN__EACH6
 #undef DN__EACH7
+#undef DN__EXP2_1
+#undef DN__EXP2_2
+#undef DN__EXP2_3
+#undef DN__EXP2_4
+#undef DN__EXP2_LOW
 #undef DN__EXP_0
 #undef DN__EXP_1
 #undef DN__EXP_2
@@ -15156,7 +16814,6 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__F4_NEON
 #undef DN__F4_ROWS
 #undef DN__F4_RUN
-#undef DN__F4_RUN
 #undef DN__F4_SSE
 #undef DN__F4_WASM
 #undef DN__FAR
@@ -15164,9 +16821,9 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__HAS_AVX2
 #undef DN__HAS_AVX512
 #undef DN__HAS_F4
+#undef DN__HAS_VNNI
 #undef DN__HEADER_CAP
 #undef DN__INLINE
-#undef DN__IN_MEMORY
 #undef DN__IN_MEMORY
 #undef DN__LBS_MANY
 #undef DN__LN2_HIGH
@@ -15178,9 +16835,17 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__OWN_SINE
 #undef DN__PROBE_CAP
 #undef DN__RANK_CAP
+#undef DN__REDUCED_FLOATS
+#undef DN__REDUCED_WEIGHTS
+#undef DN__ROUNDED
 #undef DN__RUN
 #undef DN__RUN_SHORT
 #undef DN__SEEDS
+#undef DN__SHRINK_A0
+#undef DN__SHRINK_A1
+#undef DN__SHRINK_B1
+#undef DN__SHRINK_B2
+#undef DN__SHRINK_MOST
 #undef DN__SOON
 #undef DN__SOURCE
 #undef DN__TANH_0
@@ -15192,10 +16857,13 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__TARGET_AVX2
 #undef DN__TARGET_AVX2_UNFUSED
 #undef DN__TARGET_AVX512
+#undef DN__TARGET_BF16
+#undef DN__TARGET_VNNI
 #undef DN__TICK
 #undef DN__TILE_ROWS
 #undef DN__TOUCH
 #undef DN__WEIGHTS
+#undef DN__WHOLE
 
 #endif /* DEFORMNET_IMPLEMENTATION */
 
