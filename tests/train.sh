@@ -129,6 +129,48 @@ import safetensors_io as st
 tensors, meta = st.load(sys.argv[1])
 assert meta["deformnet.joints"] == "upper" and tensors["pre.0.weight"].shape[1] == 3 + 3 + 1 + 1, meta
 PY
+ok "a small network" run w.safetensors 20 --arch multiresgnet:humanoid-small
+ok "a narrower one that starts from it" run n.safetensors 3 --arch multiresgnet:humanoid-lite --start "$dir/w.safetensors"
+ok "units that say nothing are the ones left out, and what they add to others stays" $python - << 'PY'
+import numpy as np
+import torch
+import nets
+torch.manual_seed(3)
+rng = np.random.default_rng(3)
+sizes = lambda k: dict(pre=(12 + k, 8 + k), K=2, Fe=4, B=6 + k, post=(10 + k, 6 + k), pool=4)
+wide, narrow = nets.MultiResGNet(9, **sizes(5)), nets.MultiResGNet(9, **sizes(0))
+with torch.no_grad():
+    for k, v in wide.state_dict().items():
+        if k.endswith(("running_var", ".std")):
+            v.uniform_(0.5, 1.5)
+        elif v.dim():
+            v.normal_(0, 0.7)
+    plan = [(f"pre.{b}", 0) for b in (0, 1)] + [(f"post.{b}", 0) for b in (0, 1)] + \
+        [(n, 8) for n in ("local.0", "local.1", "global.0", "global.1", "global.2")]
+    silent = {n: first + torch.randperm(wide.get_submodule(n).bn.weight.numel() - first)[:5] for n, first in plan}
+    for n, units in silent.items():
+        wide.get_submodule(n).bn.weight[units] = 0  # a constant: act(bias)
+    for reader, ins in (("local.0", ["pre.1"]), ("local.1", ["local.0", "pre.1"]), ("global.0", ["pre.1"]), ("pool", ["pre.1"]),
+                        ("global.1", ["global.0"]), ("global.2", ["global.1"])):
+        at = 0
+        for n in ins:  # a constant in the scores does not stay: they pass a leaky ReLU
+            wide.get_submodule(reader).lin.weight[:, at + silent[n]] = 0
+            at += wide.get_submodule(n).bn.weight.numel()
+    wide.get_submodule("global.0.self").weight[:, silent["pre.1"]] = 0  # pooled and spread again, a constant varies
+    wide.get_submodule("global.2.self").weight[:, silent["global.1"]] = 0
+n = 60
+triangles = [(i, (i + 1) % n) for i in range(n)] + [(i, (i + 7) % n) for i in range(n)]
+pairs = sorted({(a, b) for i, j in triangles for a, b in ((i, j), (j, i))})
+first = np.searchsorted([a for a, _ in pairs], np.arange(n + 1))
+graph = nets.Graph.from_csr(first, np.array([b for _, b in pairs], np.int32))
+x = torch.from_numpy(rng.normal(size=(n, 9)).astype(np.float32))
+contraction = nets.contract(graph, wide.eval().pool.edge_scores(wide.before_pool(x), graph))
+nets.narrow(wide, narrow, [(x, graph, contraction)])
+with torch.no_grad():
+    a, b = wide(x, graph, contraction), narrow.eval()(x, graph, contraction)
+print((a - b).abs().max(), a.abs().max())
+assert (a - b).abs().max() < 1e-4 * a.abs().max() and a.std() > 0.1
+PY
 ok "what is trained is what runs: network and dn_deform give the same displacement" $python check_nets.py "$dir/characters/thick.glb"
 ok "the trained model runs in the product, nearer to the truth than skinning" $python evaluate.py --characters "$dir/characters" --truth "$dir/truth" \
    --only thick --motions others --json "$dir/table.json" "MultiResGNet=$dir/a.safetensors" "upper=$dir/u.safetensors"

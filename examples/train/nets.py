@@ -514,7 +514,8 @@ SIZES = {  # --arch NAME or NAME:SIZE
     "multiresgnet": (MultiResGNet, {}),
     "multiresgnet:lite": (MultiResGNet, dict(K=4, B=64, post=(128, 64))),
     "multiresgnet:humanoid": (MultiResGNet, dict(pre=(128, 64), K=4, B=64, post=(160, 64))),  # the shipped models'
-    "multiresgnet:humanoid-lite": (MultiResGNet, dict(pre=(64, 32), K=4, Fe=4, B=32, post=(64, 32), pool=8)),
+    "multiresgnet:humanoid-small": (MultiResGNet, dict(pre=(64, 32), K=4, Fe=4, B=32, post=(64, 32), pool=8)),
+    "multiresgnet:humanoid-lite": (MultiResGNet, dict(pre=(64, 32), K=4, Fe=4, B=16, post=(64, 32), pool=8)),
     "multiresgnet:tiny": (MultiResGNet, dict(pre=(64, 32), K=4, Fe=8, B=32, post=(96, 32), pool=8)),
     "densegats": (DenseGATs, {}),
     "mlp": (Baseline, dict(pre=(256, 512, 512, 128))),
@@ -558,6 +559,67 @@ def build(arch, tensors):
     if missing or unexpected:
         raise ValueError(f"{arch}: missing {missing}, not used {unexpected}")
     return net.eval()
+
+
+def narrow(wide, net, batches):
+    """net's first weights from those of a wider MultiResGNet, `wide`: of every layer the units that weigh most on what reads
+    them stay (heads stay whole), and a unit left out is replaced by its mean. batches: (normalised rows, Graph, Contraction)
+    over which means and deviations are taken. Both with batch norm, and with as many heads of the same width"""
+    seen, state = {}, {k: v.clone() for k, v in wide.state_dict().items()}
+    with torch.no_grad():
+        for x, graph, contraction in batches:
+            wide.eval()(x, graph, contraction, lambda name, y: seen.setdefault(name, []).append(y))
+    seen = {k: torch.cat(v) for k, v in seen.items() if not k.startswith("pool.")}
+    at = lambda *names: [(name.split("=")[0], name.split("=")[-1]) for name in names]  # producer, and its values as read
+    reads = {f"pre.{b}": at(f"pre.{b - 1}") if b else [] for b in range(len(wide.pre))}
+    rows = at(f"pre.{len(wide.pre) - 1}")
+    for b in range(len(wide.local)):
+        reads[f"local.{b}"], rows = rows, at(f"local.{b}") + rows
+    first = f"pre.{len(wide.pre) - 1}"
+    reads.update({"pool": at(first), "global.0": at(first + "=pool"), "global.1": at("global.0"), "global.2": at("global.1=unpool"),
+                  **{f"post.{b}": at(f"post.{b - 1}") if b else rows + at("global.2") for b in range(len(wide.post))},
+                  "out": at(f"post.{len(wide.post) - 1}")})
+    matrices = lambda layer: [k for k in (f"{layer}.weight", f"{layer}.lin.weight", f"{layer}.self.weight") if k in state]
+    weigh = {p: 0 for p in seen}  # squared effect of each unit's deviations on its readers, in their own deviations
+    for layer, inputs in reads.items():
+        W = torch.cat([state[k] for k in matrices(layer)])
+        if layer + ".bn.weight" in state:
+            W = W * (state[layer + ".bn.weight"] * (state[layer + ".bn.running_var"] + EPS).rsqrt())[:, None]
+        for (p, values), part in zip(inputs, W.split([seen[p].shape[1] for p, _ in inputs], 1) if inputs else []):
+            weigh[p] = weigh[p] + part.square().sum(0) * seen[values].var(0)
+    want, keep = net.state_dict(), {}
+    for p in reads:
+        if p in ("pool", "out"):
+            continue
+        gat = f"{p}.lin.weight" in state
+        heads, total = (len(state[f"{p}.lin.weight"]), len(want[f"{p}.lin.weight"]) + len(want[f"{p}.self.weight"])) if gat \
+            else (0, len(want[f"{p}.weight"]))
+        best = weigh[p][heads:].argsort(descending=True)[:total - heads].sort()[0]
+        keep[p] = torch.cat([torch.arange(heads), heads + best])
+    for layer, inputs in reads.items():
+        lost, columns, start = 0, [], 0
+        for p, values in inputs:
+            gone = torch.ones(seen[p].shape[1], dtype=torch.bool)
+            gone[keep[p]] = False
+            gone = gone.nonzero()[:, 0]
+            lost = lost + torch.cat([state[k] for k in matrices(layer)])[:, start + gone] @ seen[values].mean(0)[gone]
+            columns.append(start + keep[p])
+            start += seen[p].shape[1]
+        if inputs and layer + ".bn.running_mean" in state:
+            state[layer + ".bn.running_mean"] -= lost
+        elif inputs and layer == "out":
+            state[layer + ".bias"] += lost
+        if inputs:
+            for k in matrices(layer):
+                state[k] = state[k][:, torch.cat(columns)]
+    for p, kept in keep.items():
+        heads = len(state[f"{p}.lin.weight"]) if f"{p}.lin.weight" in state else 0
+        for k in [k for k in state if k.startswith(p + ".")]:
+            if k.endswith((".bias", ".bn.weight", ".bn.running_mean", ".bn.running_var")) or k == f"{p}.weight":
+                state[k] = state[k][kept]
+            elif k.endswith(".self.weight"):
+                state[k] = state[k][kept[heads:] - heads]
+    net.load_state_dict(state)
 
 
 def parameters(net):

@@ -72,7 +72,8 @@ def arguments():
     a("--truth", required=True, help="folder of CHARACTER__MOTION.safetensors")
     a("--out", required=True, help="model file to write")
     a("--arch", default="multiresgnet:lite", help=" ".join(nets.SIZES))
-    a("--start", default="", help="model file to start from instead of random weights: same --arch, --features and joints")
+    a("--start", default="", help="model file to start from instead of random weights: same architecture, --features and joints; where it "
+      "is wider than --arch (multiresgnet) the units that weigh least are left out")
     a("--features", default="relative,normal,geodesic,distance")
     a("--leave-joints", default="", help="comma separated: the network does not see joints whose names contain one of these")
     a("--frame", default="root", choices=["root", "model"])
@@ -278,17 +279,29 @@ class Trainer:
 
     def start(self, path):
         """a finished model as the first weights, with the scales it was trained with"""
-        tensors, meta = st.load(path)
+        file, meta = st.load(path)
         if meta["deformnet.features"] != self.o.features or meta["deformnet.joints"] != ",".join(self.truth.joints):
             raise SystemExit(f"{path}: made for other features or joints than this run's")
-        state = {k: torch.from_numpy(np.array(v, np.float32)) for k, v in tensors.items()}
+        arch = self.o.arch.split(":")[0]
+        if meta["deformnet.arch"] != arch:
+            raise SystemExit(f"{path} is of {meta['deformnet.arch']}, not of {arch}")
+        first, own = nets.build(arch, file), self.net.state_dict()
+        stats = getattr(first, "input")
+        self.scale = np.stack([stats.mean.numpy(), 1 / stats.std.numpy()]).astype(np.float32)
+        if any(len(v) != len(own[k]) for k, v in first.state_dict().items() if v.dim()):
+            self.find_pairs(first, {c.character.name: c.character for c in self.truth.train}.values())
+            rng, batches = np.random.default_rng(self.o.seed), []
+            for _ in range(24):
+                b = dn.make_batch(self.truth.draw(rng, 16), self.features, self.root, self.nodes, 0, self.scale, True, self.width)
+                batches.append(tensors(b, "cpu")[:3])
+            nets.narrow(first, self.net, batches)
+            first = self.net
+        state = {k: v.clone() for k, v in first.state_dict().items()}
         if self.whiten is not None and self.world > 1:
             dist.broadcast(self.whiten, 0)
         if self.whiten is not None:  # U = W whiten^-1, so that the first layer computes what it did
             state["pre.0.weight"] = (state["pre.0.weight"].double() @ torch.inverse(self.whiten.double())).float()
         self.net.load_state_dict(state)
-        stats = getattr(self.net, "input")
-        self.scale = np.stack([stats.mean.numpy(), 1 / stats.std.numpy()]).astype(np.float32)
         self.say(f"starting from {path}")
 
     def say(self, *text):
