@@ -9165,10 +9165,12 @@ typedef struct dn__plan {
    size_t depth;            /* how many stages after the first one the last use of a wide row is */
    size_t wide, z, tile;    /* bytes a node: of a wide row, of the widest row of z, of narrow rows that stay in one stage */
    size_t blocks, turns;    /* of attention; buffers of z when they hold all nodes and the blocks take turns */
+   size_t cost;             /* multiply-adds a node of all stages, or 0: a step of a small network takes longer chunks */
    size_t chunk, lag, wide_rows, z_rows, z_buffers, bytes;
 } dn__plan;
 enum { DN__STRIP = 42, /* rows: a multiple of every tile height */
-       DN__CHUNK = 4 * DN__STRIP, DN__LONG_CHUNK = 24 * DN__STRIP };
+       DN__CHUNK = 4 * DN__STRIP, DN__LONG_CHUNK = 24 * DN__STRIP,
+       DN__STEP = 8000000 /* multiply-adds of a step that are worth its parallel loop */ };
 
 typedef enum dn__op_kind { DN__OP_LINEAR, DN__OP_PRODUCTS, DN__OP_ATTEND, DN__OP_COPY, DN__OP_GATHER, DN__OP_SCATTER } dn__op_kind;
 typedef struct dn__op { /* one layer, or half of one, on the rows of a chunk */
@@ -9365,6 +9367,7 @@ static void dn__plan_at(dn__plan *p, size_t chunk)
 static void dn__plan_choose(dn__plan *p, unsigned workers)
 {
    size_t least = dn__max(DN__CHUNK, dn__mul(workers, DN__STRIP)), count, chunk;
+   if (p->cost) least = dn__max(least, dn__min(DN__STEP / p->cost / DN__STRIP * DN__STRIP, DN__LONG_CHUNK));
    dn__plan best = *p;
    if (p->depth == 0) { /* no attention: long enough to be worth a parallel loop */
       dn__plan_at(p, dn__min(dn__max(2 * DN__CHUNK, least), dn__mul(p->nodes / DN__STRIP + 1, DN__STRIP)));
@@ -9567,6 +9570,12 @@ static void dn__clusters_layout(dn_clusters *c, size_t nodes, size_t neighbours,
    c->coarse_first = (uint32_t *)dn__take(a, dn__add(nodes, 1), sizeof(uint32_t));
    c->coarse_next = (uint32_t *)dn__take(a, neighbours, sizeof(uint32_t));
 }
+static size_t dn__blocks_cost(const dn__block *b, size_t count) /* multiply-adds a node */
+{
+   size_t i, cost = 0;
+   for (i = 0; i < count; i++) cost = dn__add(cost, dn__mul(b[i].in, b[i].out));
+   return cost;
+}
 static size_t dn__tail_bytes(const dn__block *post)
 {
    return dn__add(dn__tile_bytes(post[0].out, dn__writes(&post[0])), dn__tile_bytes(post[1].out, dn__writes(&post[1])));
@@ -9616,6 +9625,7 @@ static void dn__local_global_plan(dn__net *n, const dn__extent *e, const dn__blo
    p->wide = dn__max(p->wide, wide);
    p->z = dn__max(p->z, dn__widest_z(global - locals, locals + 3));
    p->tile = dn__max(p->tile, dn__add(dn__cells_bytes(global[1].out, global + 2), dn__tail_bytes(global + 3)));
+   p->cost = dn__add(dn__blocks_cost(global - locals, locals), dn__blocks_cost(global + 2, 4));
    p = &n->plan[DN__ON_COARSE];
    p->nodes = e->coarse_nodes;
    p->bandwidth = e->coarse_bandwidth;
@@ -9624,6 +9634,7 @@ static void dn__local_global_plan(dn__net *n, const dn__extent *e, const dn__blo
    p->wide = dn__max(p->wide, dn__mul(global[0].out, dn__cell_of(global + 1)));
    p->z = dn__max(p->z, dn__widest_z(global, 2));
    p->tile = dn__max(p->tile, dn__cells_bytes(global[0].in, global));
+   p->cost = dn__blocks_cost(global, 2);
    n->coarse_width = dn__max(n->coarse_width, global[1].out);
 }
 static void dn__net_layout(dn__net *n, const dn_model *m, const dn__extent *e, unsigned workers, dn__arena *a)
@@ -9647,6 +9658,7 @@ static void dn__net_layout(dn__net *n, const dn_model *m, const dn__extent *e, u
       n->wide_width = b[1].out;
       p[DN__POINTWISE].nodes = e->nodes;
       p[DN__POINTWISE].tile = dn__tile_bytes(b[0].out, DN__FLOAT);
+      p[DN__POINTWISE].cost = dn__blocks_cost(b, 2);
    } else {
       size_t widest = 0, all = 0;
       for (i = 0; i < last; i++) widest = dn__max(widest, b[i].out), all = dn__add(all, dn__tile_bytes(b[i].out, DN__FLOAT));
