@@ -7959,25 +7959,43 @@ DN_API void dn_pool_contract(const dn_graph *g, const float *scores, dn_clusters
    clusters->graph.next = clusters->coarse_next;
 }
 
+/* sum of exp(x - most); room for whole registers behind the last x */
+static float dn__exp_sum(float *x, size_t count, float most)
+{
+   float sum = 0;
+   size_t k;
+#ifdef DN__HAS_F4
+   float part[4];
+   dn__f4 all = dn__f4_all(0.0f);
+   for (k = count; k % 4; k++) x[k] = most - 200.0f; /* exp is 1e-38 there */
+   for (k = 0; k < count; k += 4) all = dn__f4_add(all, dn__exp_f4(dn__f4_sub(dn__f4_load(x + k), dn__f4_all(most))));
+   dn__f4_store(part, all);
+   sum = (part[0] + part[2]) + (part[1] + part[3]);
+#else
+   for (k = 0; k < count; k++) sum += dn__exp(x[k] - most);
+#endif
+   return sum;
+}
 static void dn__pool_rescore_range(void *job, size_t begin, size_t end, unsigned worker)
 {
+   enum { FEW = 32 }; /* neighbours at a time: whole registers */
    const dn__pool_job *p = (const dn__pool_job *)job;
-   size_t m, e;
+   size_t m, e, k;
    (void)worker;
    for (m = begin; m < end; m++) {
-      size_t i = p->c->members[2 * m], j = p->c->members[2 * m + 1];
-      float dst, own = 0, most = 0, sum = 0;
+      size_t i = p->c->members[2 * m], j = p->c->members[2 * m + 1], last = p->g->first[i + 1];
+      float dst, own = 0, most = 0, sum = 0, x[FEW];
       if (i == j) continue;
       dst = dn__dot(p->pool->dst, p->v + i * p->v_stride, p->pool->in);
-      for (e = p->g->first[i]; e < p->g->first[i + 1]; e++) {
-         /* softmax in one pass: what was summed under a smaller maximum is scaled down */
-         float x = dn__leaky(dst + dn__dot(p->pool->src, p->v + p->g->next[e] * p->v_stride, p->pool->in));
-         if (e == p->g->first[i] || x > most) {
-            sum = e == p->g->first[i] ? 0 : sum * dn__exp(most - x);
-            most = x;
+      for (e = p->g->first[i]; e < last; e += FEW) {
+         size_t count = dn__min(FEW, last - e);
+         float before = most;
+         for (k = 0; k < count; k++) {
+            x[k] = dn__leaky(dst + dn__dot(p->pool->src, p->v + p->g->next[e + k] * p->v_stride, p->pool->in));
+            if ((e == p->g->first[i] && k == 0) || x[k] > most) most = x[k];
+            if (p->g->next[e + k] == j) own = x[k];
          }
-         sum += dn__exp(x - most);
-         if (p->g->next[e] == j) own = x;
+         sum = (e == p->g->first[i] ? 0 : sum * dn__exp(before - most)) + dn__exp_sum(x, count, most); /* summed under a smaller maximum */
       }
       p->scores[m] = dn__exp(own - most) / sum;
    }
@@ -8020,21 +8038,30 @@ DN_API void dn_pool_scatter_ref(const dn_pool *pool, const dn_clusters *c, const
       for (x = 0; x < width; x++) v[i * v_stride + x] = coarse[m * coarse_stride + x] / s; /* T 3.12 */
    }
 }
+/* to = s (a + b), or s a when b is NULL */
+static void dn__pool_row(float *to, const float *a, const float *b, float s, size_t width)
+{
+   size_t x = 0;
+#ifdef DN__HAS_F4
+   dn__f4 all = dn__f4_all(s);
+   for (; x + 4 <= width; x += 4) {
+      dn__f4 v = dn__f4_load(a + x);
+      dn__f4_store(to + x, dn__f4_mul(b ? dn__f4_add(v, dn__f4_load(b + x)) : v, all));
+   }
+#endif
+   for (; x < width; x++) to[x] = (b ? a[x] + b[x] : a[x]) * s;
+}
 static void dn__pool_gather_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__pool_job *p = (const dn__pool_job *)job;
-   size_t m, x;
+   size_t m;
    (void)worker;
    for (m = begin; m < end; m++) {
       size_t i = p->c->members[2 * m], j = p->c->members[2 * m + 1];
       const float *a = p->v + i * p->v_stride, *b = p->v + j * p->v_stride;
       float *to = p->y + (m - p->first) * p->y_stride;
-      if (i == j) {
-         for (x = 0; x < p->width; x++) to[x] = a[x];
-      } else {
-         float s = dn__pool_factor(p->pool, p->c, m);
-         for (x = 0; x < p->width; x++) to[x] = s * (a[x] + b[x]); /* T 3.11 */
-      }
+      if (i == j) memcpy(to, a, p->width * sizeof *to);
+      else dn__pool_row(to, a, b, dn__pool_factor(p->pool, p->c, m), p->width); /* T 3.11 */
    }
 }
 DN_API void dn_pool_gather(const dn_pool *pool, const dn_clusters *c, const float *v, size_t v_stride, size_t width,
@@ -8051,7 +8078,7 @@ DN_API void dn_pool_gather(const dn_pool *pool, const dn_clusters *c, const floa
 static void dn__pool_scatter_range(void *job, size_t begin, size_t end, unsigned worker)
 {
    const dn__pool_job *p = (const dn__pool_job *)job;
-   size_t i, x;
+   size_t i;
    (void)worker;
    for (i = begin; i < end; i++) {
       size_t m = p->c->cluster[i];
@@ -8059,7 +8086,7 @@ static void dn__pool_scatter_range(void *job, size_t begin, size_t end, unsigned
       float *to = p->y + (i - p->first) * p->y_stride;
       int alone = p->c->members[2 * m] == p->c->members[2 * m + 1];
       float s = alone ? 1.0f : 1.0f / dn__pool_factor(p->pool, p->c, m);
-      for (x = 0; x < p->width; x++) to[x] = from[x] * s; /* T 3.12 */
+      dn__pool_row(to, from, NULL, s, p->width); /* T 3.12 */
    }
 }
 DN_API void dn_pool_scatter(const dn_pool *pool, const dn_clusters *c, const float *coarse, size_t coarse_stride,
