@@ -243,9 +243,10 @@ static void pool_free(pool_case *p)
 TEST(scores_are_the_definition)
 {
    uint64_t seed = 29;
-   size_t n, i, e, f, d;
+   size_t n, i, e, f, d, hubs = 0;
    for (n = 0; n < 24; n++) {
-      size_t in = n + 1, N = pick(&seed, 1, 30), stride = in + pick(&seed, 0, 3);
+      size_t in = n + 1, N = n % 5 ? pick(&seed, 1, 30) : pick(&seed, 150, 250) /* hubs of more than a run's neighbours */,
+             stride = in + pick(&seed, 0, 3);
       pool_case p = random_pool(&seed, in, pick(&seed, 1, 9), 0);
       meshy m = random_meshy(&seed, N, (int)(n % KINDS));
       float *v = random_floats(&seed, N * stride, 1), *s = (float *)test_block(m.edges * 4);
@@ -281,10 +282,19 @@ TEST(scores_are_the_definition)
          dn_pool_rescore(&p.pool, &m.g, v, stride, &m.c, NULL);
          CHECK(close_to((double)m.c.score[i], (double)kept));
       }
+      for (i = 0; i < m.c.count; i++) { /* and the other way round: hubs of more neighbours than one run has */
+         uint32_t from = m.c.members[2 * i + 1], to = m.c.members[2 * i];
+         m.c.members[2 * i] = from, m.c.members[2 * i + 1] = to;
+         for (e = m.first[from]; e < m.first[from + 1] && m.next[e] != to; e++) {}
+         dn_pool_rescore(&p.pool, &m.g, v, stride, &m.c, NULL);
+         if (from != to) CHECK(e < m.first[from + 1] && close_to((double)m.c.score[i], (double)s[e]));
+         hubs += from != to && m.first[from + 1] - m.first[from] > 32;
+      }
       free(v), free(s), free(plain), free(dst), free(src);
       meshy_free(&m);
       pool_free(&p);
    }
+   AT_LEAST(hubs, 2, "hubs");
 }
 TEST(gather_and_scatter_are_the_formulas)
 {
