@@ -68,14 +68,20 @@ static void split_backwards(void *user, size_t count, size_t grain, dn_range_fn 
    while (n-- > 0) fn(job, n * grain, (n + 1) * grain < count ? (n + 1) * grain : count, (unsigned)(n % 3));
 }
 static const dn_parallel backwards = {split_backwards, NULL, 3};
-static dn_model *load(unsigned char *file, size_t size)
+static dn_model *load_at(unsigned char *file, size_t size, dn_precision precision)
 {
    dn_error e;
-   dn_model *m = dn_model_load(file, size, NULL, NULL, &e);
+   dn_model_options options;
+   dn_model *m;
+   memset(&options, 0, sizeof options);
+   options.precision = precision;
+   m = dn_model_load(file, size, &options, NULL, &e);
    free(file);
    if (!CHECK_MSG(m != NULL, "%s", m ? "" : e.info)) exit(1);
    return m;
 }
+
+static dn_model *load(unsigned char *file, size_t size) { return load_at(file, size, DN_PRECISION_F32); }
 
 /* --- a lumpy limb, closed, of three joints along x; at 0, 1/2 and 1 */
 enum { RINGS = 17, AROUND = 8, V = RINGS * AROUND + 2, T = 2 * AROUND * RINGS, S = 3 };
@@ -414,6 +420,21 @@ TEST(networks)
    file = tiny_multires("geodesic", "dynamic", &size), dynamic = network("multiresgnet-dynamic", load(file, size), DN_LBS);
    file = tiny_multires("geodesic", "rest", &size), CHECK(network("multiresgnet-rest", load(file, size), DN_LBS) != dynamic);
 }
+TEST(precisions)
+{
+   static const dn_precision precision[] = {DN_PRECISION_F16, DN_PRECISION_BF16, DN_PRECISION_INT8};
+   size_t i, size;
+   tiny_ranges = 1;
+   for (i = 0; i < sizeof precision / sizeof *precision; i++) {
+      const char *p = dn_precision_name(precision[i]);
+      unsigned char *file;
+      char name[64];
+      file = tiny_gats("gat", &size), snprintf(name, sizeof name, "gat-network-%s", p), network(name, load_at(file, size, precision[i]), DN_LBS);
+      file = tiny_dense(&size), snprintf(name, sizeof name, "densegats-%s", p), network(name, load_at(file, size, precision[i]), DN_LBS);
+      file = tiny_multires("geodesic", "dynamic", &size), snprintf(name, sizeof name, "multiresgnet-%s", p), network(name, load_at(file, size, precision[i]), DN_LBS);
+   }
+   tiny_ranges = 0;
+}
 static void wear(const dn_model *model, const dn_parallel *parallel, float *out) /* (4,V,3) */
 {
    static const float shape[TINY_SHAPE] = {0.5f, -0.25f, 0.75f, 0.125f, -0.0625f, 0.375f, 0.625f}; /* alpha, beta, theta */
@@ -643,6 +664,7 @@ int main(int argc, char **argv)
    RUN(layers);
    RUN(pooling);
    RUN(networks);
+   RUN(precisions);
    RUN(garments);
    RUN(blend_shapes);
    RUN(kit);

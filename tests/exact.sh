@@ -60,7 +60,7 @@ for name in "${names[@]}"; do
    read -r rc rest < "$dir/$name.rc"
    case $rc in
    ok)
-      if (($(wc -l < "$dir/$name.out") < 35)); then fail "$name: printed too little"
+      if (($(wc -l < "$dir/$name.out") < 44)); then fail "$name: printed too little"
       elif [[ -z $reference ]]; then reference=$name && pass "$name, the first:" && sed 's/^/     /' "$dir/$name.out"
       elif cmp -s "$dir/$reference.out" "$dir/$name.out"; then pass "$name: the same"
       else

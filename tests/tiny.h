@@ -79,11 +79,26 @@ TEST_UNUSED static void tiny_batchnorm(tiny_writer *w, const char *name, size_t 
    snprintf(full, sizeof full, "%s.bn.running_mean", name), tiny_tensor(w, full, n, 0, seed, -0.2f, 0.2f);
    snprintf(full, sizeof full, "%s.bn.running_var", name), tiny_tensor(w, full, n, 0, seed, 0.5f, 1.5f);
 }
+/* what int8 needs to know of a layer's output; only in files made while tiny_ranges is set */
+static int tiny_ranges;
+TEST_UNUSED static void tiny_range(tiny_writer *w, const char *name, size_t out, uint64_t *seed)
+{
+   char full[64], shape[64];
+   size_t i;
+   if (!tiny_ranges) return;
+   snprintf(full, sizeof full, "%s.range", name), snprintf(shape, sizeof shape, "2,%lu", (unsigned long)out);
+   tiny_entry(w, full, "F32", shape, 2 * out);
+   for (i = 0; i < 2 * out; i++) {
+      float x = i < out ? test_uniform(seed, -2, -1) : test_uniform(seed, 1, 2);
+      tiny_number(w, &x);
+   }
+}
 TEST_UNUSED static void tiny_lifted(tiny_writer *w, const char *name, size_t out, size_t in, uint64_t *seed, float lift)
 {
    char full[64];
    snprintf(full, sizeof full, "%s.weight", name), tiny_tensor(w, full, out, in, seed, lift - 0.7f, 0.7f);
    snprintf(full, sizeof full, "%s.bias", name), tiny_tensor(w, full, out, 0, seed, lift - 0.2f, lift + 0.2f);
+   tiny_range(w, name, out, seed);
 }
 TEST_UNUSED static void tiny_linear(tiny_writer *w, const char *name, size_t out, size_t in, uint64_t *seed)
 {
@@ -97,6 +112,7 @@ TEST_UNUSED static void tiny_gat(tiny_writer *w, const char *name, size_t in, ui
    snprintf(full, sizeof full, "%s.att_dst", name), tiny_tensor(w, full, 2, 2, seed, -0.7f, 0.7f);
    snprintf(full, sizeof full, "%s.att_src", name), tiny_tensor(w, full, 2, 2, seed, -0.7f, 0.7f);
    snprintf(full, sizeof full, "%s.self.weight", name), tiny_tensor(w, full, 2, in, seed, -2.5f, 2.5f);
+   tiny_range(w, name, 6, seed);
 }
 /* 6 -> 5 -> 3, about 1.6 kB; no joint names */
 TEST_UNUSED static unsigned char *tiny_mlp(size_t *size)
@@ -130,6 +146,7 @@ TEST_UNUSED static unsigned char *tiny_multires(const char *joint_feature, const
    tiny_tensor(&w, "pool.lin.weight", 2, 4, &seed, -1.0f, 1.0f);
    tiny_tensor(&w, "pool.att_dst", 1, 2, &seed, -1.0f, 1.0f);
    tiny_tensor(&w, "pool.att_src", 1, 2, &seed, -1.0f, 1.0f);
+   tiny_range(&w, "pool", 4, &seed), tiny_range(&w, "unpool", 6, &seed);
    tiny_gat(&w, "global.0", 4, &seed);
    tiny_gat(&w, "global.1", 6, &seed);
    tiny_gat(&w, "global.2", 6, &seed);
