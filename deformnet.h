@@ -515,7 +515,7 @@ DN_API dn_result dn_carry(const dn_rig *rig, const dn_pose *pose, const dn_track
                outlives the coarse rig's bind and the last dn_spread; coarse->bytes of it are used
     errors     DN_BAD_VALUE (share), DN_TOO_SMALL names both sizes; *coarse is then of no use
     cost       13,380 nodes: 0.14 s of processor time to a half, 0.21 s to a quarter
-    threads    re-entrant; the same numbers on every machine and for any number of threads
+    threads    re-entrant
 
     dn_coarse_describe: the full character's description with mesh and geodesic replaced, for dn_rig_create or dn_rig_init;
     pose.skinned and mask do not fit a coarse rig: leave them NULL in its dn_evaluate.

@@ -510,6 +510,18 @@ static size_t thin_sound(const thin *t, const dn_rig_view *v)
    free(coarse_of), free(label);
    return 3 * v->nodes;
 }
+/* no edge in more than two triangles, and in no triangle twice the same way round */
+static int thin_surface(const thin *t)
+{
+   const uint32_t *q = (const uint32_t *)t->c.mesh.indices;
+   size_t i, j, k, l, n = 3 * t->c.mesh.triangles;
+   for (i = 0; i < n; i++)
+      for (j = 0; j < i; j++) {
+         k = i - i % 3 + (i % 3 + 1) % 3, l = j - j % 3 + (j % 3 + 1) % 3;
+         if (q[i] == q[j] && q[k] == q[l]) return 0;
+      }
+   return 1;
+}
 static dn_rig *thin_bind(const thin *t, const dn_model *m, const dn_rig_desc *full, dn_report *report)
 {
    dn_rig_desc d;
@@ -590,6 +602,7 @@ TEST(fewer_nodes_keep_borders_and_parts)
       CHECK_MSG(s >= 3 || t.c.nodes == wanted, "%lu nodes, wanted %lu", (unsigned long)t.c.nodes, (unsigned long)wanted);
       CHECK(t.c.nodes >= wanted && t.c.nodes <= wanted + 40); /* a tube ends as two border triangles with strips between */
       CHECK(report.components == 2 && report.isolated_nodes == 0 && report.nodes == t.c.nodes && report.seams_welded == 0);
+      CHECK(t.c.nodes + t.c.mesh.triangles == report.edges && thin_surface(&t)); /* Euler: two tubes, still open */
       CHECK(again.c.nodes == t.c.nodes && memcmp(again.c.spread_weight, t.c.spread_weight, PAIR_V * 12) == 0 &&
             memcmp(again.c.spread_node, t.c.spread_node, PAIR_V * 12) == 0 && memcmp(again.c.node, t.c.node, 4 * t.c.nodes) == 0);
       for (i = 0; i < t.c.nodes; i++) {
