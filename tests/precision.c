@@ -3,11 +3,14 @@
     shows   conversions of single numbers, all halves among them; products and attention on random shapes with tails 0 to 17,
             strides and odd addresses, nothing written outside; 8-bit blocks give the same bits in every kernel; their sums are
             exact at the ends of the range and at the longest row; what each precision loses is within its bound
+            whole networks stay near float32, in every kernel, with any split over threads; ranges that are missing or make no
+            sense, and networks that have no such precision, are refused by name
     build   cc -O2 precision.c -o precision -lm */
 #define DEFORMNET_IMPLEMENTATION
 #define DEFORMNET_STATIC
 #include "../deformnet.h"
 #include "test.h"
+#include "tiny.h"
 #include <math.h>
 
 #define GUARD 0xa5 /* in every byte around what is written */
@@ -532,6 +535,317 @@ TEST(a_ring_of_z_gives_the_same_bits)
    AT_LEAST(cases, 3, "kernels");
 }
 
+/* --- networks: small ones of every architecture, float32 beside the others */
+typedef struct seen { /* what the taps of a float32 run saw: ends of every column */
+   struct { char name[64]; size_t width; float least[256], most[256]; } at[32];
+   size_t count, rows, bad;
+} seen;
+static void see(void *user, const char *name, const float *rows, size_t first, size_t count, size_t width, size_t stride)
+{
+   seen *s = (seen *)user;
+   size_t k, i, c;
+   (void)first;
+   for (k = 0; k < s->count && strcmp(s->at[k].name, name) != 0; k++) {}
+   if (k == 32 || width > 256) { s->bad++; return; }
+   if (k == s->count) {
+      s->count++;
+      strcpy(s->at[k].name, name);
+      s->at[k].width = width;
+      for (c = 0; c < width; c++) s->at[k].least[c] = 1e30f, s->at[k].most[c] = -1e30f;
+   }
+   s->rows += count;
+   for (i = 0; i < count; i++)
+      for (c = 0; c < width; c++) {
+         float x = rows[i * stride + c];
+         if (!test_finite(x)) s->bad++;
+         s->at[k].least[c] = fminf(s->at[k].least[c], x), s->at[k].most[c] = fmaxf(s->at[k].most[c], x);
+      }
+}
+static void split(void *user, size_t count, size_t grain, dn_range_fn *fn, void *job) /* from the end, a grain at a time */
+{
+   size_t begin = count / grain * grain, worker = 0;
+   (void)user;
+   if (begin == count) begin -= grain;
+   for (;; begin -= grain, worker++) {
+      fn(job, begin, begin + grain < count ? begin + grain : count, (unsigned)(worker % 3));
+      if (begin == 0) break;
+   }
+}
+/* displacements (TUBE_V,3) of the tube, bent by `bend`; 0: it failed, and e says why */
+static int run_tube(const dn_model *m, float bend, const dn_probe *probe, int workers, float *out, dn_error *e)
+{
+   tube t;
+   dn_rig *rig;
+   dn_pose pose;
+   dn_output output;
+   dn_parallel par;
+   size_t bytes, i;
+   void *scratch;
+   dn_result r;
+   tube_make(&t);
+   for (i = 0; i < 2; i++) t.palette[12 * (i + 1) + 3] += 0.1f * bend, t.palette[12 * (i + 1) + 7] += 0.05f * bend;
+   rig = dn_rig_create(m, &t.desc, NULL, NULL, e);
+   if (!rig) return 0;
+   memset(&pose, 0, sizeof pose);
+   memset(&output, 0, sizeof output);
+   memset(&par, 0, sizeof par);
+   par.run = split, par.workers = 3;
+   pose.palette = t.palette, pose.matrix = DN_3X4_ROWS, pose.strength = 1;
+   output.displacement = out;
+   bytes = dn_scratch_size(rig, 3);
+   scratch = test_aligned(bytes);
+   memset(scratch, 0xa5, bytes);
+   r = dn_stage_skin(rig, &pose, scratch, bytes, workers ? &par : NULL, e);
+   if (r == DN_OK) {
+      dn_stage_rows(rig, scratch, workers ? &par : NULL);
+      dn_stage_network(rig, scratch, workers ? &par : NULL, probe);
+      r = dn_stage_output(rig, &pose, &output, scratch, workers ? &par : NULL, e);
+   }
+   test_aligned_free(scratch);
+   dn_rig_free(rig);
+   return r == DN_OK;
+}
+static dn_model *load(const unsigned char *file, size_t size, dn_precision precision, dn_kernel kernel, dn_error *e)
+{
+   dn_model_options o;
+   memset(&o, 0, sizeof o);
+   memset(e, 0, sizeof *e);
+   o.precision = precision, o.kernel = kernel;
+   return dn_model_load(file, size, &o, NULL, e);
+}
+/* the file with a range for each name that was seen; but `not`, if that is one of them, gets these numbers, or none */
+static unsigned char *with_ranges(const unsigned char *file, size_t size, const seen *s, const char *not, const float *numbers,
+                                  size_t rows, size_t width, size_t *joined)
+{
+   uint64_t length = 0;
+   size_t k, c, at, used, bytes;
+   char *header = (char *)test_block(65536);
+   unsigned char *data, *out;
+   for (k = 8; k > 0; k--) length = length << 8 | file[k - 1];
+   bytes = size - 8 - (size_t)length;
+   data = (unsigned char *)test_block(bytes + 32 * 2 * 256 * 4);
+   memcpy(data, file + 8 + length, bytes);
+   memcpy(header, file + 8, (size_t)length);
+   for (used = (size_t)length; header[used - 1] != '}'; used--) {}
+   used--;
+   for (k = 0; k < s->count; k++) {
+      int other = not && strcmp(not, s->at[k].name) == 0;
+      size_t r = other ? rows : 2, w = other ? width : s->at[k].width;
+      if (r == 0) continue;
+      used += (size_t)snprintf(header + used, 65536 - used, ",\"%s.range\":{\"dtype\":\"F32\",\"shape\":[%lu,%lu],\"data_offsets\":[%lu,%lu]}",
+                               s->at[k].name, (unsigned long)r, (unsigned long)w, (unsigned long)bytes, (unsigned long)(bytes + 4 * r * w));
+      for (c = 0; c < r * w; c++) {
+         float x = other ? numbers[c] : c < w ? s->at[k].least[c] - 1e-3f : s->at[k].most[c - w] + 1e-3f;
+         uint32_t u = bits(x);
+         for (at = 0; at < 4; at++) data[bytes++] = (unsigned char)(u >> (8 * at));
+      }
+   }
+   header[used++] = '}';
+   header[used] = 0;
+   out = tiny_join(header, 0, data, bytes, joined);
+   free(header), free(data);
+   return out;
+}
+static const float bends[] = { 0, 0.5f, -0.7f, 1 };
+static unsigned char *calibrated(const unsigned char *file, size_t size, seen *s, const char *not, const float *numbers, size_t rows,
+                                 size_t width, size_t *joined)
+{
+   float out[TUBE_V * 3];
+   dn_error e;
+   dn_probe probe;
+   size_t i;
+   dn_model *m = load(file, size, DN_PRECISION_F32, DN_KERNEL_AUTO, &e);
+   memset(s, 0, sizeof *s);
+   memset(&probe, 0, sizeof probe);
+   probe.tap = see, probe.user = s;
+   for (i = 0; m && i < sizeof bends / sizeof *bends; i++) CHECK_MSG(run_tube(m, bends[i], &probe, 0, out, &e), "%s", e.info);
+   CHECK(m && s->count > 1 && s->bad == 0);
+   dn_model_free(m);
+   return with_ranges(file, size, s, not, numbers, rows, width, joined);
+}
+typedef unsigned char *maker(size_t *size);
+static unsigned char *multires_rest(size_t *size) { return tiny_multires("geodesic", "rest", size); }
+static unsigned char *multires_dynamic(size_t *size) { return tiny_multires("distance", "dynamic", size); }
+static unsigned char *gats(size_t *size) { return tiny_gats("gat", size); }
+static unsigned char *neuroskinning(size_t *size) { return tiny_gats("neuroskinning", size); }
+/* tiny_dense with its blocks' weights made smaller: as they are, its rows grow to 1e10 */
+static unsigned char *dense(size_t *size)
+{
+   unsigned char *file = tiny_dense(size);
+   size_t bytes, i, k;
+   dn_error e;
+   dn_tensors *t;
+   void *memory;
+   if (!CHECK(dn_tensors_size(file, *size, &bytes, &e) == DN_OK)) return file;
+   memory = test_aligned(bytes);
+   CHECK(dn_tensors_open(file, *size, memory, bytes, &t, &e) == DN_OK);
+   for (i = 0; i < dn_tensors_count(t); i++) {
+      const dn_tensor *w = dn_tensors_at(t, i);
+      if ((strncmp(w->name, "dense.", 6) != 0 && strncmp(w->name, "transition.", 11) != 0) || !strstr(w->name, ".weight") || strstr(w->name, ".bn."))
+         continue;
+      for (k = 0; k < w->count; k++) {
+         unsigned char *at = file + (w->data - file) + 4 * k;
+         float x = of_bits(at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24) * 0.42f;
+         uint32_t u = bits(x);
+         at[0] = (unsigned char)u, at[1] = (unsigned char)(u >> 8), at[2] = (unsigned char)(u >> 16), at[3] = (unsigned char)(u >> 24);
+      }
+   }
+   test_aligned_free(memory);
+   return file;
+}
+static unsigned char *cloth(size_t *size) { return tiny_cloth("rest", size); }
+static unsigned char *garfit(size_t *size) { return tiny_garfit("dynamic", size); }
+static const struct { const char *name; maker *make; double bar[PRECISIONS]; } nets[] = {
+   { "mlp", tiny_mlp, { 1e-6, 1e-6, 1e-6 } }, /* all of its layers are first ones, or the last */
+   { "gat", gats, { 1e-3, 0.01, 0.05 } },
+   { "neuroskinning", neuroskinning, { 1e-3, 0.01, 0.05 } },
+   { "densegats", dense, { 2e-3, 0.02, 0.1 } },
+   { "multiresgnet, rest", multires_rest, { 2e-3, 0.02, 0.1 } },
+   { "multiresgnet, dynamic", multires_dynamic, { 2e-3, 0.02, 0.1 } }
+};
+TEST(networks_stay_near_float32)
+{
+   size_t n, p, i, c, cases = 0;
+   int k;
+   for (n = 0; n < sizeof nets / sizeof *nets; n++) {
+      size_t size, joined;
+      unsigned char *file = nets[n].make(&size), *both;
+      static seen ranges, again;
+      dn_error e;
+      dn_model *plain = load(file, size, DN_PRECISION_F32, DN_KERNEL_AUTO, &e);
+      both = calibrated(file, size, &ranges, NULL, NULL, 0, 0, &joined);
+      for (p = 0; p < PRECISIONS; p++) {
+         double worst = 0;
+         for (k = 0; k < DN_KERNEL_COUNT; k++) {
+            double off = 0, all = 0;
+            dn_model *m;
+            dn_model_info info;
+            if (!dn_kernel_available((dn_kernel)k)) continue;
+            m = load(both, joined, precisions[p], (dn_kernel)k, &e);
+            if (!CHECK_MSG(m != NULL, "%s %s: %s", nets[n].name, dn_precision_name(precisions[p]), e.info)) continue;
+            dn_model_describe(m, &info);
+            CHECK(info.precision == precisions[p] && info.kernel == (dn_kernel)k);
+            memset(&again, 0, sizeof again);
+            for (i = 0; i < sizeof bends / sizeof *bends; i++) {
+               float a[TUBE_V * 3], b[TUBE_V * 3], shown[TUBE_V * 3], parts[TUBE_V * 3];
+               dn_probe probe;
+               memset(&probe, 0, sizeof probe);
+               probe.tap = see, probe.user = &again;
+               if (!CHECK_MSG(run_tube(plain, bends[i], NULL, 0, a, &e) && run_tube(m, bends[i], NULL, 0, b, &e) &&
+                              run_tube(m, bends[i], &probe, 0, shown, &e) && run_tube(m, bends[i], NULL, 1, parts, &e), "%s", e.info)) break;
+               CHECK_MSG(memcmp(b, shown, sizeof b) == 0, "%s %s: a probe changes what comes out", nets[n].name, dn_precision_name(precisions[p]));
+               CHECK_MSG(memcmp(b, parts, sizeof b) == 0, "%s %s: ranges change what comes out", nets[n].name, dn_precision_name(precisions[p]));
+               for (c = 0; c < TUBE_V; c++) {
+                  double d[3], v[3];
+                  size_t x;
+                  for (x = 0; x < 3; x++) d[x] = (double)b[3 * c + x] - (double)a[3 * c + x], v[x] = (double)a[3 * c + x];
+                  off += sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+                  all += sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+               }
+            }
+            cases++;
+            CHECK(again.count == ranges.count && again.rows == ranges.rows && again.bad == 0); /* the same taps, of the same rows */
+            for (i = 0; i < again.count; i++) CHECK(strcmp(again.at[i].name, ranges.at[i].name) == 0 && again.at[i].width == ranges.at[i].width);
+            worst = fmax(worst, off / all);
+            CHECK_MSG(off > 0 || n == 0, "%s %s is float32 to the bit", nets[n].name, dn_precision_name(precisions[p]));
+            dn_model_free(m);
+         }
+         printf("   %-22s %-4s off by %.2e of the mean displacement\n", nets[n].name, dn_precision_name(precisions[p]), worst);
+         CHECK_MSG(worst < nets[n].bar[p], "%s %s: %.2e", nets[n].name, dn_precision_name(precisions[p]), worst);
+      }
+      dn_model_free(plain);
+      free(file), free(both);
+   }
+   AT_LEAST(cases, sizeof nets / sizeof *nets * PRECISIONS, "runs");
+}
+TEST(garments_have_half_weights_and_no_less)
+{
+   static maker *const makers[] = { tiny_coarse, garfit, cloth };
+   size_t n, size, cases = 0;
+   int k;
+   dn_error e;
+   unsigned char *file;
+   for (n = 0; n < 3; n++) {
+      float a[TUBE_V * 3], b[TUBE_V * 3];
+      dn_model *plain;
+      tube t;
+      file = makers[n](&size);
+      plain = load(file, size, DN_PRECISION_F32, DN_KERNEL_AUTO, &e);
+      tube_make(&t);
+      if (!CHECK_MSG(plain && tiny_wear(plain, &t, a, NULL, NULL, &e) == DN_OK, "%s", e.info)) continue;
+      for (k = 0; k < DN_KERNEL_COUNT; k++) {
+         double worst = 0;
+         size_t i;
+         dn_model *m = dn_kernel_available((dn_kernel)k) ? load(file, size, DN_PRECISION_F16, (dn_kernel)k, &e) : NULL;
+         if (!m) continue;
+         CHECK_MSG(tiny_wear(m, &t, b, NULL, NULL, &e) == DN_OK, "%s", e.info);
+         for (i = 0; i < TUBE_V * 3; i++) worst = fmax(worst, fabs((double)a[i] - (double)b[i]));
+         CHECK_MSG(worst > 0 && worst < 5e-3, "kernel %d, network %lu: %.2e", k, (unsigned long)n, worst);
+         cases++;
+         dn_model_free(m);
+      }
+      dn_model_free(plain);
+      CHECK(!load(file, size, DN_PRECISION_BF16, DN_KERNEL_AUTO, &e) && e.code == DN_UNSUPPORTED && strstr(e.info, "bf16") && strstr(e.info, "f16"));
+      CHECK(!load(file, size, DN_PRECISION_INT8, DN_KERNEL_AUTO, &e) && e.code == DN_UNSUPPORTED && strstr(e.info, "int8"));
+      free(file);
+   }
+   file = tiny_blend(&size);
+   CHECK(!load(file, size, DN_PRECISION_F16, DN_KERNEL_AUTO, &e) && e.code == DN_UNSUPPORTED && strstr(e.info, "neuralblendshapes"));
+   free(file);
+   AT_LEAST(cases, 3, "garments");
+}
+TEST(ranges_that_make_no_sense_are_refused)
+{
+   static const char *const names[] = { "pre.1", "local.0", "local.1", "pool", "global.0", "unpool", "global.2", "post.0" };
+   size_t n, k, c, cases = 0, size, joined;
+   unsigned char *file = multires_rest(&size), *both;
+   static seen s;
+   dn_error e;
+   dn_model *m;
+   CHECK(!load(file, size, DN_PRECISION_INT8, DN_KERNEL_AUTO, &e) && e.code == DN_MISSING_TENSOR && strstr(e.info, "pre.1.range") && strstr(e.info, "calibrate"));
+   for (n = 0; n < sizeof names / sizeof *names; n++)
+      for (k = 0; k < 9; k++, cases++) {
+         float numbers[2 * 260];
+         size_t rows = 2, width;
+         int good = 0;
+         free(calibrated(file, size, &s, NULL, NULL, 0, 0, &joined));
+         for (c = 0; c < s.count && strcmp(s.at[c].name, names[n]) != 0; c++) {}
+         if (!CHECK(c < s.count)) continue;
+         width = s.at[c].width;
+         for (c = 0; c < width; c++) numbers[c] = -1, numbers[width + c] = 1;
+         switch (k) {
+         case 0: rows = 0; break;                                              /* not there */
+         case 1: width--; break;                                               /* too narrow */
+         case 2: rows = 1; break;                                              /* the least alone */
+         case 3: numbers[width - 1] = of_bits(0x7fc00000u); break;             /* NaN */
+         case 4: numbers[width] = of_bits(0x7f800000u); break;                 /* infinite */
+         case 5: numbers[0] = 2; break;                                        /* least above most */
+         case 6: numbers[0] = numbers[width] = 0.5f; break;                    /* no width */
+         case 7: numbers[0] = 1e6f, numbers[width] = of_bits(bits(1e6f) + 1); break; /* a width that rounding swallows */
+         default:
+            numbers[0] = -3.4e38f, numbers[width] = 3.4e38f; /* as wide as floats go: allowed */
+            good = 1;
+         }
+         both = with_ranges(file, size, &s, names[n], numbers, rows, width, &joined);
+         m = load(both, joined, DN_PRECISION_INT8, DN_KERNEL_AUTO, &e);
+         CHECK_MSG((m != NULL) == (good != 0), "%s case %lu: %s", names[n], (unsigned long)k, e.info);
+         if (!m) CHECK_MSG(strstr(e.info, names[n]) && strstr(e.info, ".range"), "%s case %lu: %s", names[n], (unsigned long)k, e.info);
+         if (!m) CHECK(e.code == (k == 0 ? DN_MISSING_TENSOR : k < 3 ? DN_BAD_SHAPE : DN_BAD_VALUE));
+         if (m) {
+            float out[TUBE_V * 3];
+            (void)run_tube(m, 1, NULL, 0, out, &e);
+            for (c = 0; c < TUBE_V * 3; c++) CHECK(test_finite(out[c]));
+         }
+         dn_model_free(m);
+         m = load(both, joined, DN_PRECISION_BF16, DN_KERNEL_AUTO, &e); /* which has no use for ranges */
+         CHECK_MSG(m != NULL, "%s", e.info);
+         dn_model_free(m);
+         free(both);
+      }
+   free(file);
+   AT_LEAST(cases, 72, "files");
+}
+
 int main(int argc, char **argv)
 {
    TEST_BEGIN(argc, argv);
@@ -542,5 +856,8 @@ int main(int argc, char **argv)
    RUN(whole_sums_are_exact_at_the_extremes);
    RUN(blocks_equal_the_plain_text);
    RUN(a_ring_of_z_gives_the_same_bits);
+   RUN(networks_stay_near_float32);
+   RUN(garments_have_half_weights_and_no_less);
+   RUN(ranges_that_make_no_sense_are_refused);
    return TEST_END();
 }
