@@ -527,6 +527,227 @@ TEST(any_number_of_threads_gives_the_same_bits)
    AT_LEAST(frames, MODELS * 8, "frames");
 }
 
+/* --- waves: whatever the graph, the chunk, the rings and who ran what, each node's numbers are the bits of one block after
+   another on all nodes */
+static float *rows_of(size_t nodes, size_t width, uint64_t *seed)
+{
+   float *x = (float *)test_block((nodes * width + 1) * sizeof *x);
+   size_t i;
+   for (i = 0; i < nodes * width; i++) x[i] = (float)((double)test_random(seed) / 2147483648.0 - 1);
+   return x;
+}
+/* edges from each node to some at most `span` on; kind 0 no more, 1 numbered at random, 2 a hub at each end, 3 no edges */
+static dn_graph graph_make(size_t nodes, size_t span, int kind, uint64_t *seed, uint32_t **first, uint32_t **next)
+{
+   uint32_t *triangle = (uint32_t *)test_block(12 * (6 * nodes + 1)), *at = (uint32_t *)test_block(4 * nodes);
+   size_t t = 0, i, k;
+   void *scratch;
+   dn_graph g;
+   for (i = 0; i < nodes; i++) at[i] = (uint32_t)i;
+   if (kind == 1) shuffle(at, nodes, seed);
+   for (i = 0; i < nodes && kind != 3; i++)
+      for (k = 0; k < 4; k++) {
+         size_t j = k == 3 && kind == 2 ? i % 2 * (nodes - 1) : i + 1 + test_random(seed) % span;
+         if (j >= nodes || (k == 3 && kind != 2)) continue;
+         triangle[3 * t] = at[i], triangle[3 * t + 1] = triangle[3 * t + 2] = at[j];
+         t++;
+      }
+   *first = (uint32_t *)test_block(4 * (nodes + 1)), *next = (uint32_t *)test_block(4 * (6 * t + 1));
+   scratch = test_aligned(dn_graph_scratch(nodes, t));
+   dn_graph_build(triangle, t, nodes, *first, *next, &g, scratch);
+   test_aligned_free(scratch);
+   free(triangle);
+   free(at);
+   return g;
+}
+static void plain_linear(const dn__block *b, const float *add, const float *x, size_t x_stride, size_t rows, float *y, size_t y_stride)
+{
+   dn_linear l = b->linear;
+   l.add = add;
+   dn_linear_run(&l, x, x_stride, rows, y, y_stride, NULL);
+}
+static void plain_tail(const dn__block *b, const float *x, size_t stride, size_t nodes, float *y)
+{
+   float *t0 = (float *)test_block(nodes * b[0].out * 4), *t1 = (float *)test_block(nodes * b[1].out * 4);
+   plain_linear(b, NULL, x, stride, nodes, t0, b[0].out);
+   plain_linear(b + 1, NULL, t0, b[0].out, nodes, t1, b[1].out);
+   plain_linear(b + 2, NULL, t1, b[1].out, nodes, y, 3);
+   free(t0);
+   free(t1);
+}
+static void plain_dense(const dn__block *b, size_t count, const dn_graph *g, float *rows, size_t stride, size_t width, void *scratch)
+{
+   dn_gat gat[6];
+   size_t i;
+   for (i = 0; i < count; i++) gat[i] = b[i].gat;
+   dn_dense_run(gat, count, g, rows, stride, width, scratch, NULL);
+}
+/* the last module's rows stay in wide (N, width of the last module) for the taps */
+static void plain_densegats(const dn_model *m, const dn_graph *g, const float *rows, const float *start, float *wide, float *y)
+{
+   const dn__block *b = m->blocks;
+   size_t N = g->nodes, k, i, stride = b[21].in + b[21].out, most = stride > b[7].in + b[7].out ? stride : b[7].in + b[7].out;
+   float *t = (float *)test_block(N * most * 4), *w = (float *)test_block(N * most * 4);
+   void *scratch = test_aligned(dn__block_scratch(b, m->block_count, N) + 64);
+   plain_linear(b, start, rows, dn__live_width(m->stage), N, t, b[0].out);
+   plain_linear(b + 1, NULL, t, b[0].out, N, w, b[1].out);
+   for (k = 0; k < 3; k++) {
+      const dn__block *into = b + 1 + 7 * k, *module = into + 1;
+      size_t width = module[5].in + module[5].out;
+      for (i = 0; i < N; i++) memcpy(wide + i * width + width - into->out, w + i * into->out, into->out * 4);
+      plain_dense(module, 6, g, wide, width, width, scratch);
+      if (k < 2) dn_gat_run(&module[6].gat, g, wide, width, w, module[6].out, scratch, NULL);
+   }
+   plain_tail(b + 22, wide, stride, N, y);
+   free(t);
+   free(w);
+   test_aligned_free(scratch);
+}
+static void plain_multiresgnet(const dn_model *m, const dn_graph *g, const float *rows, const float *start, float *wide, float *y)
+{
+   const dn__block *b = m->blocks;
+   const dn_pool *pool = &m->branch[0].pool;
+   size_t N = g->nodes, E = g->first[N], stride = b[7].in, x = b[1].out, at = b[3].in + b[3].out - x, u = b[5].out;
+   size_t most = u > b[0].out ? u : b[0].out;
+   float *t = (float *)test_block(N * most * 4), *v = (float *)test_block(N * (most + x) * 4), *scores = (float *)test_block((E + 1) * 4);
+   float *w = (float *)test_block(N * (b[4].out + 1) * 4);
+   void *scratch = test_aligned(dn__block_scratch(b, m->block_count, N) + dn_pool_scratch(N, E));
+   dn_clusters c;
+   dn__arena a = dn__arena_of(NULL, 0);
+   unsigned char *memory;
+   dn__clusters_layout(&c, N, E, &a);
+   memory = (unsigned char *)test_aligned(a.used);
+   a = dn__arena_of(memory, a.used);
+   dn__clusters_layout(&c, N, E, &a);
+   c.score = (float *)test_block(N * 4);
+   plain_linear(b, start, rows, dn__live_width(m->stage), N, t, b[0].out);
+   plain_linear(b + 1, NULL, t, b[0].out, N, wide + at, stride);
+   dn_pool_scores(pool, g, wide + at, stride, scores, scratch, NULL);
+   dn_pool_contract(g, scores, &c, scratch);
+   dn_pool_gather(pool, &c, wide + at, stride, x, v, x, NULL);
+   plain_dense(b + 2, 2, g, wide, stride, at + x, scratch);
+   dn_gat_run(&b[4].gat, &c.graph, v, x, w, b[4].out, scratch, NULL);
+   dn_gat_run(&b[5].gat, &c.graph, w, b[4].out, v, u, scratch, NULL);
+   dn_pool_scatter(pool, &c, v, u, u, N, t, u, NULL);
+   dn_gat_run(&b[6].gat, g, t, u, wide + at + x, stride, scratch, NULL);
+   plain_tail(b + 7, wide, stride, N, y);
+   free(t), free(v), free(w), free(scores), free(c.score);
+   test_aligned_free(memory);
+   test_aligned_free(scratch);
+}
+typedef struct watched { const dn_model *m; const float *wide; size_t nodes, columns, equal, next, calls; pthread_t thread; const char *name; } watched;
+static void watch_rows(void *user, const char *name, const float *rows, size_t first, size_t count, size_t width, size_t stride)
+{
+   watched *w = (watched *)user;
+   const dn__block *last = w->m->blocks + (w->m->info.arch == DN_DENSEGATS ? 21 : 3);
+   size_t made = 0, i, row = w->columns;
+   w->calls++;
+   CHECK(pthread_equal(pthread_self(), w->thread) && first + count <= w->nodes && stride >= width);
+   if (strcmp(name, w->name) == 0) CHECK(first == w->next), w->next = first + count;
+   for (; strcmp(name, last->name) != 0; last--) /* its columns are there: later blocks stand to the left of it, x_0 (pre.1, a transition) last */
+      if (strncmp(last->name, "dense.2.", 8) != 0 && strncmp(last->name, "local.", 6) != 0) return;
+      else made += last->out;
+   for (i = 0; i < count; i++) w->equal += memcmp(rows + i * stride, w->wide + (first + i) * row + made, width * 4) == 0;
+}
+TEST(waves_give_the_bits_of_one_block_after_another)
+{
+   static const size_t sizes[] = {1, 2, 41, 43, 168, 700, 1500}, spans[] = {1, 20, 90, 100000};
+   static const unsigned counts[] = {1, 2, 3, 7, 16};
+   size_t k, n, s, c, runs = 0, slid = 0, whole = 0, taps = 0;
+   uint64_t seed = 5;
+   for (k = 0; k < 2; k++) {
+      dn_model *m = model_of(k ? "multiresgnet_small" : "densegats_small", "model", NULL);
+      const dn__block *b = m->blocks;
+      size_t columns = k ? b[7].in : b[21].in + b[21].out, most = dn__max(columns, k ? 0 : b[7].in + b[7].out);
+      for (n = 0; n < sizeof sizes / sizeof *sizes; n++)
+         for (s = 0; s < 4; s++) {
+            size_t N = sizes[n], i;
+            uint32_t *first, *next;
+            dn_graph g = graph_make(N, s < 3 ? spans[s] : 30, s == 3 ? (int)(1 + n % 3) : 0, &seed, &first, &next);
+            float *rows = rows_of(N, dn__live_width(m->stage), &seed), *start = m->bound.in ? rows_of(N, b[0].out, &seed) : NULL;
+            float *wide = (float *)test_block(N * most * 4), *want = (float *)test_block(N * 12), *y = (float *)test_block(N * 12);
+            (k ? plain_multiresgnet : plain_densegats)(m, &g, rows, start, wide, want);
+            for (c = 0; c < 12; c++) {
+               static const size_t chunks[] = {0, 42, 84, 126, 210, 100000}; /* 0: as chosen */
+               dn__extent e = dn__extent_of(N, g.first[N], c == 11 ? SIZE_MAX : dn__graph_bandwidth(&g));
+               unsigned workers = counts[(c + n) % 5];
+               dn__arena a = dn__arena_of(NULL, 0);
+               dn_parallel par;
+               dn_probe probe;
+               mixer mixed;
+               watched w;
+               dn__net net;
+               dn__run r;
+               size_t chunk = chunks[c % 6], bytes = 0;
+               void *memory, *work = NULL;
+               mixed.seed = 3 + c, mixed.workers = workers, mixed.ranges = 0;
+               par.workers = workers, par.run = c % 2 && workers > 1 ? spread : mix;
+               par.user = c % 2 && workers > 1 ? (void *)&workers : (void *)&mixed;
+               dn__net_layout(&net, m, &e, workers, &a);
+               memory = test_aligned(a.used);
+               memset(memory, 0xff, a.used);
+               a = dn__arena_of(memory, a.used);
+               dn__net_layout(&net, m, &e, workers, &a);
+               for (i = 0; i < 3 && chunk; i++)
+                  if (net.plan[i].nodes) dn__plan_at(&net.plan[i], dn__min(chunk, dn__round(N, 2) * 42)), bytes = dn__max(bytes, net.plan[i].bytes);
+               if (chunk) net.work = work = test_aligned(bytes), memset(work, 0xff, bytes);
+               memset(&r, 0, sizeof r);
+               memset(&w, 0, sizeof w);
+               memset(&probe, 0, sizeof probe);
+               r.m = m, r.stage = m->stage, r.g = &g, r.n = &net, r.par = &par, r.start = start;
+               w.m = m, w.wide = wide, w.nodes = N, w.columns = columns, w.thread = pthread_self(), w.name = b[m->block_count - 1].name;
+               probe.tap = watch_rows, probe.user = &w;
+               if (c % 3 == 0) r.probe = &probe;
+               memset(y, 0x55, N * 12);
+               dn__run_network(&r, rows, y);
+               CHECK_MSG(memcmp(want, y, N * 12) == 0, "%s, %lu nodes, graph %lu, chunk %lu, %u workers", m->info.arch_name, (unsigned long)N,
+                         (unsigned long)s, (unsigned long)net.plan[0].chunk, workers);
+               if (r.probe) {
+                  CHECK_MSG(w.equal == N * (k ? 3 : 7) && w.next == N, "%lu rows of the last module", (unsigned long)w.equal);
+                  taps += w.calls;
+               }
+               slid += net.plan[0].wide_rows < N;
+               whole += net.plan[0].z_rows == N;
+               runs++;
+               test_aligned_free(memory);
+               if (work) test_aligned_free(work);
+            }
+            free(first), free(next), free(rows), free(start), free(wide), free(want), free(y);
+         }
+      dn_model_free(m);
+   }
+   AT_LEAST(runs, 2 * 7 * 4 * 12, "runs");
+   AT_LEAST(slid, 40, "of them in rings");
+   AT_LEAST(whole, 40, "with z of all nodes");
+   AT_LEAST(taps, 5000, "taps");
+}
+/* more workers never need less scratch: what was sized for many serves few */
+TEST(scratch_grows_with_workers_and_nodes)
+{
+   size_t k, tried = 0;
+   unsigned w;
+   uint64_t seed = 9;
+   for (k = 0; k < 2; k++) {
+      dn_model *m = model_of(k ? "multiresgnet_small" : "densegats_small", "model", NULL);
+      size_t i;
+      for (i = 0; i < 300; i++) {
+         size_t N = 1 + test_random(&seed) % 40000, bandwidth = test_random(&seed) % (i % 3 ? N / 8 + 1 : N), before = 0;
+         for (w = 1; w <= 24; w++, tried++) {
+            dn__extent e = dn__extent_of(N, 6 * N, bandwidth), any = dn__extent_of(N + 100, 6 * N + 600, SIZE_MAX);
+            dn__arena a = dn__arena_of(NULL, 0), b = dn__arena_of(NULL, 0);
+            dn__net net;
+            dn__net_layout(&net, m, &e, w, &a);
+            dn__net_layout(&net, m, &any, w, &b);
+            CHECK_MSG(a.used >= before && a.used <= b.used, "%lu nodes, bandwidth %lu, %u workers: %lu bytes, %lu with one less, at most %lu",
+                      (unsigned long)N, (unsigned long)bandwidth, w, (unsigned long)a.used, (unsigned long)before, (unsigned long)b.used);
+            before = a.used;
+         }
+      }
+      dn_model_free(m);
+   }
+   AT_LEAST(tried, 2 * 300 * 24, "sizes");
+}
+
 TEST(strength_and_mask)
 {
    static float mask[BODY_V], skinned[BODY_V * 3];
@@ -1113,6 +1334,8 @@ int main(int argc, char **argv)
    RUN(near_order_is_the_same_graph_in_another_order);
    RUN(seams_stay_closed);
    RUN(any_number_of_threads_gives_the_same_bits);
+   RUN(waves_give_the_bits_of_one_block_after_another);
+   RUN(scratch_grows_with_workers_and_nodes);
    RUN(strength_and_mask);
    RUN(rest_delta_gives_the_same_positions);
    RUN(a_palette_that_is_not_finite_falls_back);
