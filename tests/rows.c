@@ -154,6 +154,7 @@ typedef struct scene { /* every array ends with its block; positions and fine ha
    float *positions, *rest, *weight, *palette, *posed, *mean, *scale, *part, root[9];
    double *fine;
    uint32_t *triangle, *corner_first, *corner_tri, *joint, *vertex;
+   unsigned char *sound; /* (N) its triangles' normals do not cancel: no direction is left to rounding */
 } scene;
 static float *uniform(uint64_t *seed, size_t count, float low, float high)
 {
@@ -161,6 +162,20 @@ static float *uniform(uint64_t *seed, size_t count, float low, float high)
    size_t i;
    for (i = 0; i < count; i++) p[i] = test_uniform(seed, low, high);
    return p;
+}
+static int sound(const scene *s, size_t node)
+{
+   double sum[3] = {0, 0, 0}, all = 0;
+   size_t e, k;
+   for (e = s->corner_first[node]; e < s->corner_first[node + 1]; e++) {
+      const uint32_t *t = s->triangle + 3 * s->corner_tri[e];
+      double u[3], v[3], n[3];
+      for (k = 0; k < 3; k++) u[k] = s->fine[3 * t[1] + k] - s->fine[3 * t[0] + k], v[k] = s->fine[3 * t[2] + k] - s->fine[3 * t[0] + k];
+      for (k = 0; k < 3; k++) n[k] = u[(k + 1) % 3] * v[(k + 2) % 3] - u[(k + 2) % 3] * v[(k + 1) % 3], sum[k] += n[k];
+      all += sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+   }
+   if (s->corner_first[node] == s->corner_first[node + 1]) return 1; /* exactly no normal */
+   return all > 1e-6 && sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) >= 0.2 * all;
 }
 static scene scene_make(uint64_t *seed)
 {
@@ -184,6 +199,8 @@ static scene scene_make(uint64_t *seed)
       for (k = 0; k < 3; k++) s.triangle[3 * i + k] = (at + test_random(seed) % 4) % (uint32_t)s.nodes;
    }
    dn__corners_build(s.triangle, s.triangles, s.nodes, s.corner_first, s.corner_tri);
+   s.sound = (unsigned char *)test_block(s.nodes);
+   for (i = 0; i < s.nodes; i++) s.sound[i] = (unsigned char)sound(&s, i);
    for (i = 0; i < s.nodes * s.influences; i++) s.joint[i] = test_random(seed) % (uint32_t)s.joints, s.weight[i] /= (float)s.influences;
    for (i = 0; i < s.nodes; i++) s.vertex[i] = (uint32_t)(s.nodes - 1 - i);
    for (i = 0; i < 9; i++) s.root[i] = test_uniform(seed, -1, 1);
@@ -197,7 +214,7 @@ static scene scene_make(uint64_t *seed)
 static void scene_free(scene *s)
 {
    free(s->positions), free(s->rest), free(s->weight), free(s->palette), free(s->posed), free(s->mean), free(s->scale), free(s->part);
-   free(s->fine), free(s->triangle), free(s->corner_first), free(s->corner_tri), free(s->joint), free(s->vertex);
+   free(s->fine), free(s->triangle), free(s->corner_first), free(s->corner_tri), free(s->joint), free(s->vertex), free(s->sound);
 }
 enum { NORMALS, FINE, FRAMED, RELATIVE, DISTANCE, NORMALISE, TEXTS };
 /* out (nodes,stride) from its second number on; FRAMED fills doubles */
@@ -241,6 +258,7 @@ static void text_case(int which, dn_kernel kernel, const scene *s, uint64_t *see
       double got = which == FRAMED ? ((double *)out[1])[i] : (double)((float *)out[1])[i];
       size_t node = i ? (i - 1) / stride : 0;
       int own = i > 0 && i + 1 < numbers && node >= begin && node < end && (i - 1) % stride < columns;
+      if (own && (which == NORMALS || which == FINE) && !s->sound[node]) continue;
       CHECK_MSG(own ? fabs(got - want) <= (which == FRAMED ? 1e-13 : 1e-6) * (1 + fabs(want)) : got >= want && got <= want,
                 "text %d of kernel %d, node %lu of %lu to %lu: %.9g, expected %.9g", which, (int)kernel, (unsigned long)node,
                 (unsigned long)begin, (unsigned long)end, got, want);
