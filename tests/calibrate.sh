@@ -97,4 +97,11 @@ for f in seen clipped; do
    ok "float32 is the same with ranges in the file ($f)" bash -c "cd '$dir' && for m in '$model' $f.safetensors; do ./refine --model \$m --character '$demo/humanoid.safetensors' \
       --truth '$demo/truth.safetensors' --frames 10:13 --out \$(basename \$m .safetensors)-frames.safetensors; done && cmp humanoid-frames.safetensors $f-frames.safetensors"
 done
+mean() { sed -n 's/^ *"refined_mean_cm": \([-+.e0-9]*\),*$/\1/p' "$1"; }
+for p in f32 int8; do
+   ok "the demo in $p" "$dir/refine" --model "$dir/clipped.safetensors" --character "$demo/humanoid.safetensors" --truth "$demo/truth.safetensors" \
+      --precision $p --json "$dir/$p.json"
+done
+ok "int8's error is at most 3 % above float32's" awk -v a="$(mean "$dir/f32.json")" -v b="$(mean "$dir/int8.json")" \
+   'BEGIN { print a, b; exit !(a > 0.1 && b > 0.1 && b <= 1.03 * a) }'
 finish
