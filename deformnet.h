@@ -6900,8 +6900,7 @@ static DN__INLINE dn__v4 dn__v4_draw(const float *e, dn__v4_heads h) { return dn
 #endif
 
 #define DN__REDUCED_WEIGHTS 512 /* floats of buffer: 64 neighbours of 8 heads; larger neighbourhoods, more heads: the plain text */
-/* V lanes of columns, H lanes of heads (4 or 8) */
-#define DN__REDUCED_FLOATS(V, H, TARGET)                                                                     \
+#define DN__REDUCED_EXP(V, TARGET)                                                                           \
    TARGET static DN__INLINE dn__v##V dn__reduced_exp_v##V(dn__v##V x) /* dn__reduced_exp */                  \
    {                                                                                                         \
       dn__v##V t = dn__v##V##_mul(x, dn__v##V##_all(DN__LOG2E)), m, f, p;                                    \
@@ -6913,7 +6912,9 @@ static DN__INLINE dn__v4 dn__v4_draw(const float *e, dn__v4_heads h) { return dn
       p = dn__v##V##_add(dn__v##V##_mul(p, f), dn__v##V##_all(DN__EXP2_1));                                  \
       p = dn__v##V##_add(dn__v##V##_mul(p, f), dn__v##V##_all(1.0f));                                        \
       return dn__v##V##_mul(p, dn__v##V##_power(m));                                                         \
-   }                                                                                                         \
+   }
+/* V lanes of columns, H lanes of heads (4 or 8) */
+#define DN__REDUCED_FLOATS(V, H, TARGET)                                                                     \
    TARGET static DN__INLINE dn__v##V dn__reduced_tanh_v##V(dn__v##V x, int shrink) /* dn__reduced_tanh */    \
    {                                                                                                         \
       dn__v##V c = dn__v##V##_min(dn__v##V##_all(DN__SHRINK_MOST), x), z, s, d;                              \
@@ -7050,16 +7051,19 @@ static DN__INLINE dn__v4 dn__v4_draw(const float *e, dn__v4_heads h) { return dn
       }                                                                                                      \
    }
 #ifdef DN__HAS_AVX2
+DN__REDUCED_EXP(8, DN__TARGET_AVX2)
 DN__REDUCED_FLOATS(8, 8, DN__TARGET_AVX2)
 #endif
 #ifdef DN__HAS_AVX512
 DN__REDUCED_FLOATS(16, 8, DN__TARGET_AVX512)
 #endif
 #ifdef DN__HAS_F4
+DN__REDUCED_EXP(4, )
 DN__REDUCED_FLOATS(4, 4, )
 #endif
 
 /* --- the fast sums */
+#if defined(DN__HAS_F4) || defined(DN__HAS_AVX2)
 static void dn__widen_bf16(const unsigned char *x, size_t pitch, size_t rows, size_t count, unsigned char *to,
                            size_t to_pitch) /* bfloat16 -> float */
 {
@@ -7069,6 +7073,7 @@ static void dn__widen_bf16(const unsigned char *x, size_t pitch, size_t rows, si
       for (c = 0; c < count; c++) f[c] = dn__read16(x + r * pitch + 2 * c) << 16;
    }
 }
+#if !(defined(DN__F4_NEON) && defined(__ARM_FEATURE_DOTPROD))
 static void dn__widen_bytes(const unsigned char *x, size_t pitch, size_t rows, size_t count, unsigned char *to,
                             size_t to_pitch) /* 8 bits -> 16, an even number of them */
 {
@@ -7079,6 +7084,7 @@ static void dn__widen_bytes(const unsigned char *x, size_t pitch, size_t rows, s
       if (count & 1) h[count] = 0;
    }
 }
+#endif
 static DN__INLINE int32_t dn__word(const unsigned char *p) /* four bytes of a row, or two terms, as they lie */
 {
    int32_t w;
@@ -7091,6 +7097,7 @@ static DN__INLINE void dn__last_group(const unsigned char *x, size_t pitch, size
    size_t r;
    for (r = 0; r < rows; r++) to[r] = 0, memcpy(to + r, x + r * pitch, count);
 }
+#endif
 
 #ifdef DN__HAS_AVX512
 /* 14 rows x 32 columns: 28 sums, 2 weights and the broadcast x fill 31 of the 32 registers. SETUP makes a constant w0, w1
@@ -9694,7 +9701,7 @@ static void dn__net_layout(dn__net *n, const dn_model *m, const dn__extent *e, u
          p[DN__POINTWISE].tile = all;
       } else n->wide_width = n->side_width = widest;
    }
-   n->wide = (float *)dn__take(a, dn__mul(e->nodes, n->wide_width), sizeof(float));
+   n->wide = (float *)dn__take(a, dn__mul(e->nodes, n->wide_width), m->info.arch == DN_DENSEGATS ? dn__cell_of(&b[2]) : sizeof(float));
    n->side = (float *)dn__take(a, dn__mul(e->nodes, n->side_width), sizeof(float));
    if (m->info.arch == DN_GAT || m->info.arch == DN_NEUROSKINNING)
       n->gat = dn__take(a, dn__block_scratch(b, m->block_count, e->nodes), 1);
@@ -16874,6 +16881,7 @@ DN_API dn_result dn_blend_pose(const dn_blend *blend, const dn_blend_input *in, 
 #undef DN__OWN_SINE
 #undef DN__PROBE_CAP
 #undef DN__RANK_CAP
+#undef DN__REDUCED_EXP
 #undef DN__REDUCED_FLOATS
 #undef DN__REDUCED_WEIGHTS
 #undef DN__ROUNDED
