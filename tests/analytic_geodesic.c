@@ -448,6 +448,31 @@ TEST(voxel_binding_follows_the_tube)
    test_aligned_free(scratch);
    mesh_free(&m);
 }
+/* a bone beside the body starts at its own nearest point, wherever that lies on it: as near as a joint just there */
+TEST(a_bone_outside_starts_at_its_nearest_point)
+{
+   static const float joints[] = { 2.0f, 1.5f, 0.25f, 0.0f, 1.0f, 0.25f, 1.0f, 0.25f, 0.25f }; /* joint 1 ends the bone */
+   static const int32_t parents[] = { -1, 0, -1 };
+   static const double lo[3] = { 0.0, 0.0, 0.0 }, hi[3] = { 2.0, 0.5, 0.5 };
+   mesh m = mesh_new(BOX_NODES(8), BOX_TRIANGLES(8));
+   size_t bytes, i, k;
+   uint32_t *joint;
+   float *weight;
+   void *scratch;
+   add_box(&m, lo, hi, 8);
+   bytes = dn_voxel_bind_scratch(m.p, m.nodes, m.triangles, 3, 32, 1), scratch = test_aligned(bytes);
+   joint = (uint32_t *)test_block(m.nodes * 3 * sizeof *joint), weight = (float *)test_block(m.nodes * 3 * sizeof *weight);
+   CHECK(dn_voxel_bind(m.p, m.nodes, m.t, m.triangles, joints, parents, 3, 32, 0.0f, 3, joint, weight, scratch, bytes, NULL, NULL) == DN_OK);
+   for (i = 0; i < m.nodes; i++) {
+      float of[3] = { -1, -1, -1 };
+      for (k = 0; k < 3; k++) of[joint[3 * i + k]] = weight[3 * i + k];
+      CHECK_MSG(of[0] > 0 && fabs((double)of[0] - (double)of[1]) < 0.1 * (double)of[1], "node %lu: bone %g, joint at its end %g",
+                (unsigned long)i, (double)of[0], (double)of[1]);
+   }
+   AT_LEAST(m.nodes, 400, "nodes");
+   free(joint), free(weight), test_aligned_free(scratch);
+   mesh_free(&m);
+}
 
 int main(int argc, char **argv)
 {
@@ -461,5 +486,6 @@ int main(int argc, char **argv)
    RUN(progress_is_reported_and_can_cancel);
    RUN(too_little_scratch_is_refused);
    RUN(voxel_binding_follows_the_tube);
+   RUN(a_bone_outside_starts_at_its_nearest_point);
    return TEST_END();
 }

@@ -243,6 +243,8 @@ TEST(normals_weigh_by_area_and_survive_anything)
    static const uint32_t t[] = { 0, 1, 2, 0, 3, 4, 5, 5, 1, 6, 7, 0, 8, 9, 0 };
    float n[30];
    double length = sqrt(100.0 * 100.0 + 1.0);
+   size_t seen = 0;
+   int k;
    dn_normals(p, 10, t, 2, n);
    CHECK(near((double)n[0], 0.0, 1e-6) && near((double)n[1], 1.0 / length, 1e-6) && near((double)n[2], 100.0 / length, 1e-6));
    dn_normals(p, 10, t + 6, 1, n); /* a repeated node */
@@ -255,6 +257,28 @@ TEST(normals_weigh_by_area_and_survive_anything)
    dn_normals(p, 10, t, 2, n);
    CHECK(n[0] == 0.0f && n[1] == 0.0f && n[2] == 0.0f);
    p[0] = 0.0f;
+   for (k = 0; k < DN_KERNEL_COUNT; k++) { /* of all that cannot have a normal, in every text, floats and doubles */
+      static const float odd[] = { (float)NAN, (float)INFINITY, 1e30f };
+      float q[9 + 1], found[9];
+      double fine[9 + 1];
+      uint32_t first[4], corner[3];
+      size_t o, i;
+      if (!dn_kernel_available((dn_kernel)k)) continue;
+      dn__corners_build(t, 1, 3, first, corner);
+      for (o = 0; o < 3; o++) {
+         for (i = 0; i < 10; i++) q[i] = i < 9 ? p[i] : 0.0f;
+         q[0] = odd[o], q[7] = 1e30f;
+         for (i = 0; i < 10; i++) fine[i] = (double)q[i];
+         memset(found, 0xff, sizeof found);
+         dn__normals_run((dn_kernel)k, q, t, first, corner, 0, 3, found);
+         for (i = 0; i < 9; i++) CHECK_MSG(found[i] == 0.0f, "%s, %g: %g", dn_kernel_name((dn_kernel)k), (double)odd[o], (double)found[i]);
+         memset(found, 0xff, sizeof found);
+         dn__normals_fine_run((dn_kernel)k, fine, t, first, corner, 0, 3, found);
+         for (i = 0; i < 9; i++) CHECK_MSG(found[i] == 0.0f, "%s, fine, %g: %g", dn_kernel_name((dn_kernel)k), (double)odd[o], (double)found[i]);
+         seen++;
+      }
+   }
+   AT_LEAST(seen, 3, "texts and odd places");
 }
 
 /* --- rotations */
