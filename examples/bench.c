@@ -516,56 +516,65 @@ static double alone(bench *b, void (*fn)(void *job), void *job)
    ex_times_clear(&t);
    return ms;
 }
-typedef struct lone { /* a layer or a pool on N rows */
+typedef struct lone { /* a block or a pool on N rows */
    const dn_parallel *par;
-   const dn_linear *linear;
-   const dn_gat *gat;
+   const dn__block *block;
    const dn_pool *pool;
    dn_clusters clusters;
    const dn_graph *g;
-   size_t rows, in, out;
-   float *x, *y, *coarse;
-   void *scratch;
+   size_t rows, in;
+   unsigned char *x, *y, *z; /* cells of the block's precision; y has room for floats */
+   float *coarse;
 } lone;
-static void lone_linear(void *job)
+static void lone_products_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const lone *j = (const lone *)job;
+   const dn__block *l = j->block;
+   const size_t x_pitch = l->in * dn__cell_of(l), y_pitch = l->out * sizeof(float), z_pitch = l->kind == DN__GAT_BLOCK ? dn__z_pitch(l) : 0;
+   (void)worker;
+   if (l->kind == DN__GAT_BLOCK) dn__block_products(l, j->x + begin * x_pitch, x_pitch, j->z + begin * z_pitch, j->y + begin * y_pitch, y_pitch, end - begin);
+   else if (l->reduced.text) dn__reduced_products(&l->reduced, j->x + begin * x_pitch, x_pitch, NULL, 0, j->y + begin * y_pitch, y_pitch, end - begin);
+   else dn_linear_run(&l->linear, (const float *)(const void *)j->x + begin * l->linear.in, l->linear.in, end - begin, (float *)(void *)(j->y + begin * y_pitch), l->out, NULL);
+}
+static void lone_attention_range(void *job, size_t begin, size_t end, unsigned worker)
+{
+   const lone *j = (const lone *)job;
+   const size_t y_pitch = j->block->out * sizeof(float);
+   (void)worker;
+   dn__block_attend(j->block, j->g, j->z, SIZE_MAX, j->y + begin * y_pitch, y_pitch, begin, end);
+}
+static void lone_run(lone *j, dn_range_fn *fn) /* strips of rows as a frame has them */
+{
+   if (j->par->run) j->par->run(j->par->user, j->rows, 168, fn, j);
+   else fn(j, 0, j->rows, 0);
+}
+static void lone_products(void *job) { lone_run((lone *)job, lone_products_range); }
+static void lone_attention(void *job) { lone_run((lone *)job, lone_attention_range); }
+static void lone_pool(void *job) /* "rest" pooling: the contraction is known; rows are floats */
 {
    lone *j = (lone *)job;
-   dn_linear_run(j->linear, j->x, j->in, j->rows, j->y, j->out, j->par);
+   const float *x = (const float *)(const void *)j->x;
+   dn_pool_rescore(j->pool, j->g, x, j->in, &j->clusters, j->par);
+   dn_pool_gather(j->pool, &j->clusters, x, j->in, j->in, j->coarse, j->in, j->par);
+   dn_pool_scatter(j->pool, &j->clusters, j->coarse, j->in, j->in, j->rows, (float *)(void *)j->y, j->in, j->par);
 }
-static void lone_gat(void *job)
+static void fill(unsigned char *x, size_t cells, size_t size) /* numbers from -0.45 to 0.45, or as many steps */
 {
-   lone *j = (lone *)job;
-   dn_gat_run(j->gat, j->g, j->x, j->in, j->y, j->out, j->scratch, j->par);
-}
-static void lone_pool(void *job) /* "rest" pooling: the contraction is known */
-{
-   lone *j = (lone *)job;
-   dn_pool_rescore(j->pool, j->g, j->x, j->in, &j->clusters, j->par);
-   dn_pool_gather(j->pool, &j->clusters, j->x, j->in, j->in, j->coarse, j->in, j->par);
-   dn_pool_scatter(j->pool, &j->clusters, j->coarse, j->in, j->in, j->rows, j->y, j->in, j->par);
-}
-/* the products of one block, as a plain layer of its shape */
-static double products_alone(bench *b, lone *j, size_t in, size_t out)
-{
-   size_t bytes = dn_linear_size(in, out), k;
-   float *weight = (float *)take(out, in * sizeof *weight);
-   unsigned char *raw = (unsigned char *)take(bytes + 64, 1);
-   dn_linear layer;
-   double ms;
-   for (k = 0; k < in * out; k++) weight[k] = (float)(k % 17) * 0.01f - 0.08f;
-   dn_linear_pack(&layer, in, out, weight, NULL, NULL, DN_ACT_NONE, raw + (64 - ((uintptr_t)raw & 63)));
-   layer.kernel = b->o.kernel;
-   j->linear = &layer, j->in = in, j->out = out;
-   ms = alone(b, lone_linear, j);
-   free(weight);
-   free(raw);
-   return ms;
+   size_t i;
+   for (i = 0; i < cells; i++) {
+      float v = (float)(i % 31) * 0.03f - 0.45f;
+      uint32_t u;
+      memcpy(&u, &v, 4);
+      if (size == 1) x[i] = (unsigned char)(i * 7 % 255 + 1);
+      else if (size == 2) x[2 * i] = (unsigned char)(u >> 16), x[2 * i + 1] = (unsigned char)(u >> 24); /* little-endian bf16 */
+      else memcpy(x + 4 * i, &v, 4);
+   }
 }
 static layers measure_layers(bench *b, const subject *s)
 {
    const dn_model *m = s->model;
    const size_t N = s->view.nodes;
-   size_t i, widest = 0, need = 0;
+   size_t i, widest = 0, z_bytes = 0;
    unsigned char *raw;
    counter c;
    dn_probe probe;
@@ -581,33 +590,29 @@ static layers measure_layers(bench *b, const subject *s)
    for (i = 0; i < m->block_count; i++) {
       const dn__block *l = &m->blocks[i];
       widest = widest > l->in ? widest : l->in, widest = widest > l->out ? widest : l->out;
-      if (l->gat.heads) {
-         size_t z = l->out + 2 * l->gat.heads;
-         widest = widest > z ? widest : z;
-         need = need > dn_gat_scratch(&l->gat, N) ? need : dn_gat_scratch(&l->gat, N);
-      }
+      if (l->kind == DN__GAT_BLOCK && z_bytes < dn__z_pitch(l)) z_bytes = dn__z_pitch(l);
    }
-   j.par = &b->par[1], j.g = &s->view.graph;
-   j.x = (float *)take(N, widest * sizeof(float)), j.y = (float *)take(N, widest * sizeof(float));
-   raw = (unsigned char *)take(need + 64, 1);
-   j.scratch = raw + (64 - ((uintptr_t)raw & 63));
-   for (i = 0; i < N * widest; i++) j.x[i] = (float)(i % 31) * 0.03f - 0.45f;
+   j.par = &b->par[1], j.g = &s->view.graph, j.rows = N;
+   raw = (unsigned char *)take(3 * 64 + N * (8 * widest + z_bytes), 1);
+   j.x = raw + (64 - ((uintptr_t)raw & 63));
+   j.y = j.x + (4 * N * widest + 63) / 64 * 64;
+   j.z = j.y + (4 * N * widest + 63) / 64 * 64;
    for (i = 0; i < m->block_count && i < 256; i++) {
       const dn__block *l = &m->blocks[i];
-      int kind = kind_of(l->name);
-      double share = (double)c.rows[i] / (double)N, ms; /* less than 1 on a pooled graph */
-      size_t in = l->gat.heads ? l->in : l->linear.in;  /* the first layer's constant columns cost nothing in a frame */
-      j.rows = N;
+      const int gat = l->kind == DN__GAT_BLOCK, kind = kind_of(l->name);
+      const size_t heads = !gat ? 0 : l->reduced.text ? l->reduced.heads : l->gat.heads, sums = !gat ? 0 : heads * (l->reduced.text ? l->reduced.features : l->gat.features);
+      const size_t in = gat || l->reduced.text ? l->in : l->linear.in; /* the first layer's constant columns cost nothing in a frame */
+      double share = (double)c.rows[i] / (double)N;                   /* less than 1 on a pooled graph */
       if (in == 0) continue;
-      ms = products_alone(b, &j, in, l->gat.heads ? l->out + 2 * l->gat.heads : l->out);
-      r.ms[kind] += share * ms;
-      r.flops[kind] += 2.0 * (double)in * (double)(l->out + 2 * l->gat.heads) * (double)c.rows[i];
-      r.scores += 2.0 * (double)in * (double)(2 * l->gat.heads) * (double)c.rows[i];
-      if (!l->gat.heads) continue;
-      j.gat = &l->gat, j.in = l->in, j.out = l->out;
-      r.ms[ATTENTION] += share * fmax(alone(b, lone_gat, &j) - ms, 0);
+      j.block = l;
+      fill(j.x, N * l->in, dn__cell_of(l));
+      r.ms[kind] += share * alone(b, lone_products, &j);
+      r.flops[kind] += 2.0 * (double)in * (double)(l->out + 2 * heads) * (double)c.rows[i];
+      r.scores += 2.0 * (double)in * (double)(2 * heads) * (double)c.rows[i];
+      if (!gat) continue;
+      r.ms[ATTENTION] += share * alone(b, lone_attention, &j);
       /* about seven neighbours' z, each scaled and added */
-      r.flops[ATTENTION] += 2.0 * (double)(l->gat.heads * l->gat.features) * 7.0 * (double)c.rows[i];
+      r.flops[ATTENTION] += 2.0 * (double)sums * 7.0 * (double)c.rows[i];
    }
    if (s->info.arch == DN_MULTIRESGNET) {
       const dn_pool *pool = &m->branch[0].pool;
@@ -615,15 +620,16 @@ static layers measure_layers(bench *b, const subject *s)
       float *scores = (float *)take(edges, sizeof *scores);
       unsigned char *work = (unsigned char *)take(bytes + 64, 1);
       void *scratch = work + (64 - ((uintptr_t)work & 63));
-      j.pool = pool, j.in = pool->in, j.rows = N;
+      j.pool = pool, j.in = pool->in;
+      fill(j.x, N * pool->in, sizeof(float));
       j.clusters.members = (uint32_t *)take(N, 2 * sizeof(uint32_t)), j.clusters.score = (float *)take(N, sizeof(float));
       j.clusters.cluster = (uint32_t *)take(N, sizeof(uint32_t)), j.clusters.coarse_first = (uint32_t *)take(N + 1, sizeof(uint32_t));
       j.clusters.coarse_next = (uint32_t *)take(edges, sizeof(uint32_t));
       j.coarse = (float *)take(N, pool->in * sizeof(float));
-      dn_pool_scores(pool, j.g, j.x, j.in, scores, scratch, j.par);
+      dn_pool_scores(pool, j.g, (const float *)(const void *)j.x, j.in, scores, scratch, j.par);
       if (s->info.pooling == DN_POOL_DYNAMIC) {
          double start = ex_now_ms();
-         dn_pool_scores(pool, j.g, j.x, j.in, scores, scratch, j.par);
+         dn_pool_scores(pool, j.g, (const float *)(const void *)j.x, j.in, scores, scratch, j.par);
          dn_pool_contract(j.g, scores, &j.clusters, scratch);
          r.ms[POOLING] = ex_now_ms() - start;
       } else dn_pool_contract(j.g, scores, &j.clusters, scratch);
@@ -631,7 +637,7 @@ static layers measure_layers(bench *b, const subject *s)
       free(scores), free(work), free(j.clusters.members), free(j.clusters.score), free(j.clusters.cluster);
       free(j.clusters.coarse_first), free(j.clusters.coarse_next), free(j.coarse);
    }
-   free(j.x), free(j.y), free(raw);
+   free(raw);
    return r;
 }
 
@@ -678,7 +684,7 @@ static void print_parts(bench *b, const subject *s, timing *t, const layers *l, 
       printf("    %-32s %9.3f %9s %9s %9.1f   %6.1f GFLOP/s, %4.1f %% of the peak; %.1f %% if scores were for nothing\n", "all products", products_ms, "", "",
              1e6 * products_ms / N, share, 100 * share / peak, 100 * strict / peak);
       json_number(b, "products_share_of_peak", share / peak), json_number(b, "products_share_of_peak_without_scores", strict / peak);
-      if (peak_of(s->info.precision) == EX_PEAK_F32) {
+      if (s->info.precision == DN_PRECISION_F32) {
          snprintf(key, sizeof key, "%s: float32 matrix work, share of the peak", s->name);
          add_bar(judged ? share >= 0.75 * peak : -1, key, judged ? ">= 75 %" : "", "%.1f %% (%.1f without scores)", 100 * share / peak, 100 * strict / peak);
       }
@@ -716,7 +722,7 @@ static void run_detail(bench *b, const subject *s, int judged)
       json_number(b, "threads", b->o.threads), json_number(b, "times_as_fast", ratio), json_number(b, "counted", (double)one.counted), json_number(b, "made", (double)one.made);
       json_end(b);
       snprintf(what, sizeof what, "%s: %u threads against one, %s", s->name, b->o.threads, dn_precision_name(s->info.precision));
-      judged = judged && b->o.threads == 2 && kind == EX_PEAK_F32;
+      judged = judged && b->o.threads == 2 && s->info.precision == DN_PRECISION_F32;
       add_bar(judged ? ratio >= 1.8 : -1, what, judged ? ">= 1.8" : "", "%.2f", ratio);
       timing_clear(&one);
    }
