@@ -81,9 +81,9 @@ TEST(clipped_ends_are_the_best)
       double best = 1e300, got, unclipped;
       ex_ranges *r = ex_ranges_create();
       dn_probe p = ex_ranges_probe(r);
-      const char *name;
+      const char *name = NULL;
       const float *range;
-      size_t width;
+      size_t width = 0;
       for (i = 0; i < COUNT; i++) {
          float v = normal(&seed);
          x[i] = kind % 4 == 0 ? v : kind % 4 == 1 ? v * v * v + 3 : kind % 4 == 2 ? fabsf(v) : 0.01f * v - 7;
@@ -156,7 +156,7 @@ TEST(which_outputs)
 {
    static const char *const wanted_names[] = {"pre.1.range", "local.0.range", "local.1.range", "pool.range", "global.0.range", "global.1.range",
                                               "unpool.range", "global.2.range", "post.0.range", "post.1.range"};
-   size_t size, k, i, found = 0, width, bytes, joined;
+   size_t size, k, i, found = 0, width = 0, bytes, joined = 0;
    unsigned char *file = tiny_multires("distance", "dynamic", &size), *bigger, *again;
    dn_error err;
    dn_model *m = dn_model_load(file, size, NULL, NULL, &err), *other;
@@ -166,7 +166,7 @@ TEST(which_outputs)
    dn_pose pose;
    dn_probe probe;
    void *scratch;
-   const char *name;
+   const char *name = NULL;
    const float *range;
    CHECK(m != NULL);
    tube_make(&t);
@@ -247,7 +247,8 @@ TEST(which_outputs)
       if (again) {
          CHECK(dn_tensors_open(again, n, memory[1], room, &b, &err) == DN_OK);
          range = ex_ranges_at(r, 3, &name, &width);
-         if (dn_tensors_find(b, name)) {
+         CHECK(range != NULL);
+         if (range && dn_tensors_find(b, name)) {
             float read[64];
             dn_tensor_floats(dn_tensors_find(b, name), 0, 2 * width, read);
             CHECK(memcmp(read, range, 2 * width * sizeof(float)) == 0);
