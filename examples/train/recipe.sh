@@ -5,13 +5,14 @@
 #         MOTIONS     folder of motion GLBs of that skeleton
 #         BODY        parametric body (bodies.py says its layout)
 #         WORK        folder for everything that is made, about 12 GB
+#         LITE=1      a model of the lite kind instead of the large one (environment)
 #         HOLD="a,b"  characters kept out, HOLD_MOTIONS="x"  motions kept out (environment)
 # needs   make flesh libdeformnet.so; python3 with numpy and torch. About a second a pose: some ten hours on two cores
 #         before training at full size; SCALE=4 makes a quarter of the poses, BODIES=2 as many parametric bodies instead of 14
 # makes   WORK/characters: CHARACTERS, BODIES parametric bodies, warped copies of them (proportions; --rigging: joints and weights too)
 #         WORK/truth: for each, poses recombined from the motions, poses drawn from ranges.json, mild poses, the rest pose
 cd "$(dirname "$0")" || exit 2
-[ $# -ge 4 ] || { sed -n '2,13s/^# //p' "$0"; exit 2; }
+[ $# -ge 4 ] || { sed -n '2,14s/^# //p' "$(basename "$0")"; exit 2; }
 characters=$(realpath "$1") motions=$(realpath "$2") body=$(realpath "$3") work=$(realpath -m "$4") minutes=${5:-190}
 hold=",${HOLD:-}," hold_motions=",${HOLD_MOTIONS:-}," scale=${SCALE:-1}
 mkdir -p "$work"/characters "$work"/motions "$work"/truth
@@ -64,6 +65,16 @@ for c in "$work"/characters/*.glb; do
       done
    fi
 done
-$python train.py --processes 2 --characters "$work"/characters --truth "$work"/truth --hold-characters "${HOLD:-}" \
-   --hold-motions "${HOLD_MOTIONS:-}" --arch multiresgnet:humanoid --minutes "$minutes" --patches 20 --nodes 320 --halo 2 --rate 1.5e-3 \
-   --even 0.5 --freeze 0.3 --out "$work"/humanoid.safetensors
+train() # train OUT OPTIONS...
+{
+   $python train.py --processes 2 --characters "$work"/characters --truth "$work"/truth --hold-characters "${HOLD:-}" \
+      --hold-motions "${HOLD_MOTIONS:-}" --patches 20 --nodes 320 --halo 2 --even 0.5 --out "$work/$1.safetensors" "${@:2}"
+}
+if [ -n "${LITE:-}" ]; then # a small network without finger joints, then a narrower one that starts from it
+   lite="--optimiser soap --leave-joints Thumb,Index,Middle,Ring,Pinky"
+   train humanoid_small $lite --arch multiresgnet:humanoid-small --minutes $((minutes / 2)) --rate 3e-3 --freeze 0.25 &&
+      train humanoid_lite $lite --arch multiresgnet:humanoid-lite --start "$work"/humanoid_small.safetensors --minutes $((minutes / 2)) \
+         --rate 2e-3 --freeze 0
+else
+   train humanoid --arch multiresgnet:humanoid --minutes "$minutes" --rate 1.5e-3 --freeze 0.3
+fi

@@ -8,7 +8,8 @@ run       make libdeformnet.so
                               on a CPU faster than two threads. torchrun --nproc_per_node 2 train.py ... is the same
                               (Debian 12's torchrun needs "-r 1 -t 1" with its Python)
           the same command again continues from model.safetensors.checkpoint
-          ... --start humanoid.safetensors                  goes on from a finished model, on your own characters and truth
+          ... --start humanoid.safetensors                  goes on from a finished model, on your own characters and truth;
+                              a narrower --arch keeps the units that weigh most (nets.narrow)
 reads     DIR/*.glb           characters, bound as the header binds them
           DIR/CHARACTER__MOTION.safetensors, written by flesh:  vertices (frames,V,3) metres, palettes (frames,S,3,4),
                               settled (frames): unsettled frames are left out. New files are picked up at every epoch
@@ -32,8 +33,11 @@ where those differences are as large as anything else. The file holds W: nothing
 Batch norm uses the batch's statistics first; for the last part of the run (--freeze) it uses the running ones, as
 inference does, while the weights go on learning.
 
+--optimiser soap needs about two thirds of Adam's steps here, for a twentieth more time a step. --leave-joints drops the
+distances to joints that hardly move flesh: fingers are 40 of 65 joints, and a thousandth of skinning's error.
+
 The papers' schedule (Adam, rate 1e-3, mean squared error, times 0.75 when the loss has not fallen for eight epochs) is
---schedule plateau --loss mse. The shipped model's command is in the README.
+--schedule plateau --loss mse. The shipped models' commands are in the README and in recipe.sh.
 """
 import argparse
 import csv
