@@ -16,14 +16,15 @@ names=()
 # build NAME EMULATOR COMPILER FLAGS...: exact.c, in the background; the hashes in $dir/NAME.out, what went wrong in .rc
 build()
 {
-   local name=$1 emulator=$2 source=exact.c
+   local name=$1 emulator=$2 source=exact.c language=c
    shift 2
+   [[ $* == *-xc++* ]] && language=c++
    if [[ $name == bare-* ]]; then source=$dir/tests/exact.c; else names+=("$name"); fi
    while (($(jobs -rp | wc -l) >= JOBS)); do wait -n; done
    {
       if ! command -v "$1" > /dev/null; then echo "skip $1 is not installed"
       elif [[ -n $emulator ]] && ! command -v "$emulator" > /dev/null; then echo "skip $emulator is not installed"
-      elif ! echo 'int main(void){return 0;}' | "$@" -xc - -o "$dir/$name" -lm > /dev/null 2>&1; then echo "skip $* has no C library"
+      elif ! echo 'int main(void){return 0;}' | "$@" -x$language - -o "$dir/$name" -lm > /dev/null 2>&1; then echo "skip $* has no C library"
       elif ! "$@" "$source" -o "$dir/$name" -lm > "$dir/$name.log" 2>&1; then echo "fail does not compile"
       elif ! ${emulator:+$emulator} "$dir/$name" > "$dir/$name.log"; then echo "fail does not pass its own checks"
       else
