@@ -9560,6 +9560,8 @@ static void dn__wave_run(dn__wave *w)
    const dn__run *r = w->r;
    size_t chunk = w->plan->chunk, lag = w->plan->lag, nodes = w->g->nodes, workers = dn__workers(r->par);
    size_t chunks = (nodes + (chunk - 1)) / chunk, step, stage, u, i;
+   /* weights are read once for so many rows: DN__BLOCK_ROWS where the chunk has them for every worker */
+   size_t grain = chunk / DN__BLOCK_ROWS >= workers ? DN__BLOCK_ROWS : DN__STRIP;
    for (step = 0; chunks > 0 && step < chunks + (w->stages - 1) * lag; step++) {
       size_t items = 0, total = 0, share;
       w->units = 0;
@@ -9575,8 +9577,8 @@ static void dn__wave_run(dn__wave *w)
       share = workers > 1 ? total / (8 * workers) : total;
       for (u = 0; u < w->units; u++) {
          dn__unit *unit = &w->unit[u];
-         size_t strips = share / (w->cost[unit->stage] * DN__STRIP + 1);
-         unit->rows = workers > 1 ? dn__min(dn__max(strips, 1) * DN__STRIP, chunk) : chunk;
+         size_t strips = share / (w->cost[unit->stage] * grain + 1);
+         unit->rows = workers > 1 ? dn__min(dn__max(strips, 1) * grain, chunk) : chunk;
          unit->item = items;
          items += (unit->end - unit->begin + (unit->rows - 1)) / unit->rows;
       }
