@@ -784,7 +784,7 @@ static int run(job *j, int argc, char **argv)
    bundled_character = !j->o.character;
    if (bundled_character && !j->o.motion && !j->o.truth)
       j->o.truth = ex_bundled(program, "demo/truth.safetensors", paths[0], sizeof paths[0]);
-   model = j->o.model ? j->o.model : ex_bundled(program, "models/humanoid.safetensors", paths[1], sizeof paths[1]);
+   model = j->o.model ? j->o.model : ex_bundled(program, "models/humanoid_lite.safetensors", paths[1], sizeof paths[1]);
    character = bundled_character ? ex_bundled(program, "demo/humanoid.safetensors", paths[2], sizeof paths[2]) : j->o.character;
    motion = j->o.motion ? j->o.motion : j->o.truth ? j->o.truth : character;
 
