@@ -1947,7 +1947,7 @@ typedef struct dn__need { size_t count, metas, text; } dn__need; /* what the fir
 static int dn__tensors_entry(dn__json *j, size_t data_size, dn_tensor *out, size_t *begin, size_t *bytes)
 {
    static const char *const keys[3] = {"dtype", "shape", "data_offsets"};
-   char small[16], dtype[16], line[240];
+   char tiny[16], dtype[16], line[240];
    size_t n, k, seen[3] = {0, 0, 0}, width = 0, product = 1, offsets[2] = {0, 0}, side;
    int zero = 0;
    dn__text t;
@@ -1959,8 +1959,8 @@ static int dn__tensors_entry(dn__json *j, size_t data_size, dn_tensor *out, size
       size_t key_at;
       dn__json_space(j);
       key_at = j->at;
-      if (!dn__json_string(j, "\"dtype\", \"shape\" or \"data_offsets\"", small, sizeof small, &n)) return 0;
-      for (k = 0; k < 3 && strcmp(small, keys[k]) != 0; k++) {}
+      if (!dn__json_string(j, "\"dtype\", \"shape\" or \"data_offsets\"", tiny, sizeof tiny, &n)) return 0;
+      for (k = 0; k < 3 && strcmp(tiny, keys[k]) != 0; k++) {}
       if (k == 3) return dn__json_fail(j, key_at, "\"dtype\", \"shape\" or \"data_offsets\", not another key");
       if (seen[k]) {
          t = dn__json_begin(j, line, sizeof line);
@@ -2083,7 +2083,7 @@ static dn_result dn__tensors_scan(const unsigned char *file, size_t size, dn_ten
    dn__json j;
    uint64_t length = 0;
    size_t data_size, k, n, begin, bytes, metadata_seen = 0;
-   char small[16];
+   char tiny[16];
    memset(need, 0, sizeof *need);
    if (size < 8) return dn__fail_sizes(err, DN_TRUNCATED, where, size, "found ", size, " bytes, expected at least ", 8, NULL);
    for (k = 8; k-- > 0;) length = length << 8 | file[k];
@@ -2111,12 +2111,12 @@ static dn_result dn__tensors_scan(const unsigned char *file, size_t size, dn_ten
    j.at++;
    if (!dn__json_is(&j, '}')) {
       do {
-         char *name = t ? t->text + need->text : small;
+         char *name = t ? t->text + need->text : tiny;
          dn_tensor tensor;
          j.kind = NULL;
          dn__json_space(&j);
          j.name_at = j.at + 1;
-         if (!dn__json_string(&j, "a tensor name in quotes", name, t ? t->text_size - need->text : sizeof small, &n))
+         if (!dn__json_string(&j, "a tensor name in quotes", name, t ? t->text_size - need->text : sizeof tiny, &n))
             return j.code;
          j.name_end = j.at - 1;
          if (n == sizeof meta - 1 && strcmp(name, meta) == 0) {
@@ -4425,8 +4425,8 @@ DN__TARGET_AVX2 static DN__INLINE __m256 dn__exp_avx2(__m256 x) /* dn__exp */
 DN__TARGET_AVX2 static DN__INLINE __m256 dn__tanh_avx2(__m256 x, int shrink) /* dn__tanh or dn__tanhshrink */
 {
    const __m256 sign = _mm256_set1_ps(-0.0f), one = _mm256_set1_ps(1.0f);
-   __m256 size = _mm256_andnot_ps(sign, x), z = _mm256_mul_ps(x, x), s, t, small;
-   small = _mm256_cmp_ps(size, _mm256_set1_ps(DN__TANH_SMALL), _CMP_LT_OQ);
+   __m256 size = _mm256_andnot_ps(sign, x), z = _mm256_mul_ps(x, x), s, t, tiny;
+   tiny = _mm256_cmp_ps(size, _mm256_set1_ps(DN__TANH_SMALL), _CMP_LT_OQ);
    s = _mm256_fmadd_ps(_mm256_set1_ps(DN__TANH_4), z, _mm256_set1_ps(DN__TANH_3));
    s = _mm256_fmadd_ps(s, z, _mm256_set1_ps(DN__TANH_2));
    s = _mm256_fmadd_ps(s, z, _mm256_set1_ps(DN__TANH_1));
@@ -4436,7 +4436,7 @@ DN__TARGET_AVX2 static DN__INLINE __m256 dn__tanh_avx2(__m256 x, int shrink) /* 
    t = _mm256_div_ps(_mm256_add_ps(t, t), _mm256_add_ps(one, t)); /* 1 - tanh |x| */
    t = shrink ? _mm256_add_ps(_mm256_sub_ps(size, one), t) : _mm256_sub_ps(one, t);
    t = _mm256_or_ps(t, _mm256_and_ps(sign, x)); /* large x */
-   return _mm256_blendv_ps(t, shrink ? s : _mm256_sub_ps(x, s), small);
+   return _mm256_blendv_ps(t, shrink ? s : _mm256_sub_ps(x, s), tiny);
 }
 DN__TARGET_AVX2 static DN__INLINE __m256 dn__leaky_avx2(__m256 x)
 {
@@ -4607,12 +4607,12 @@ static const float dn__tanh_table[8][16] = {
 DN__TARGET_AVX512 static DN__INLINE __m512 dn__tanh_avx512(__m512 x, int shrink) /* dn__tanh or dn__tanhshrink */
 {
    const __m512 sign = _mm512_set1_ps(-0.0f), one = _mm512_set1_ps(1.0f);
-   __m512 size = _mm512_andnot_ps(sign, x), near = _mm512_maskz_min_ps(DN__ALL, _mm512_set1_ps(15.99f), size), q, u;
-   __mmask16 small = _mm512_cmp_ps_mask(size, _mm512_set1_ps(0.75f), _CMP_LT_OQ);
-   __m512i which = _mm512_srli_epi32(
-      _mm512_castps_si512(_mm512_maskz_max_ps(DN__ALL, near, _mm512_set1_ps(0.0625f))), 22);
+   __m512 size = _mm512_andnot_ps(sign, x), bounded = _mm512_maskz_min_ps(DN__ALL, _mm512_set1_ps(15.99f), size), q, u;
+   __mmask16 tiny = _mm512_cmp_ps_mask(size, _mm512_set1_ps(0.75f), _CMP_LT_OQ);
+   __m512i which = _mm512_maskz_srli_epi32(DN__ALL,
+      _mm512_castps_si512(_mm512_maskz_max_ps(DN__ALL, bounded, _mm512_set1_ps(0.0625f))), 22);
    #define DN__OF(k) _mm512_maskz_permutexvar_ps(DN__ALL, which, _mm512_loadu_ps(dn__tanh_table[k]))
-   u = _mm512_sub_ps(near, DN__OF(0));
+   u = _mm512_sub_ps(bounded, DN__OF(0));
    q = _mm512_fmadd_ps(DN__OF(7), u, DN__OF(6));
    q = _mm512_fmadd_ps(q, u, DN__OF(5));
    q = _mm512_fmadd_ps(q, u, DN__OF(4));
@@ -4620,8 +4620,8 @@ DN__TARGET_AVX512 static DN__INLINE __m512 dn__tanh_avx512(__m512 x, int shrink)
    q = _mm512_fmadd_ps(q, u, DN__OF(2));
    q = _mm512_fmadd_ps(q, u, DN__OF(1));
    #undef DN__OF
-   if (shrink) q = _mm512_mask_add_ps(q, _mm512_knot(small), _mm512_sub_ps(size, one), q);
-   else q = _mm512_sub_ps(_mm512_mask_blend_ps(small, one, size), q);
+   if (shrink) q = _mm512_mask_add_ps(q, _mm512_knot(tiny), _mm512_sub_ps(size, one), q);
+   else q = _mm512_sub_ps(_mm512_mask_blend_ps(tiny, one, size), q);
    return _mm512_or_ps(q, _mm512_and_ps(sign, x));
 }
 DN__TARGET_AVX512 static DN__INLINE __m512 dn__act_avx512(__m512 x, dn_activation activation)
@@ -6356,7 +6356,7 @@ struct dn__reduced_text {
    void (*attend)(const dn__reduced *b, const dn_graph *g, const unsigned char *z, size_t z_pitch, size_t mask,
                   unsigned char *y, size_t y_pitch, size_t begin, size_t end);
 };
-enum { DN__WIDENED = 256, DN__REDUCED_ROWS = 14 }; /* terms that `widen` makes at a time; rows of the highest tile */
+enum { DN__WIDENED = 224, DN__REDUCED_ROWS = 14 }; /* terms that `widen` makes at a time; rows of the highest tile */
 typedef struct dn__span { /* what the 8-bit cells of a row's columns stand for: (width) each; NULL while measuring */
    size_t width;
    const float *middle, *step, *inverse, *offset; /* the last two (width + at least 16), see dn__reduced */
@@ -9561,7 +9561,7 @@ static void dn__wave_run(dn__wave *w)
    size_t chunk = w->plan->chunk, lag = w->plan->lag, nodes = w->g->nodes, workers = dn__workers(r->par);
    size_t chunks = (nodes + (chunk - 1)) / chunk, step, stage, u, i;
    /* weights are read once for so many rows: DN__BLOCK_ROWS where the chunk has them for every worker */
-   size_t grain = chunk / DN__BLOCK_ROWS >= workers ? DN__BLOCK_ROWS : DN__STRIP;
+   size_t grain = chunk / DN__BLOCK_ROWS >= workers ? (size_t)DN__BLOCK_ROWS : (size_t)DN__STRIP;
    for (step = 0; chunks > 0 && step < chunks + (w->stages - 1) * lag; step++) {
       size_t items = 0, total = 0, share;
       w->units = 0;
@@ -11796,14 +11796,14 @@ static void dn__foot_find(const dn__thin *t, uint32_t u, dn__foot *best)
 {
    const float *rest = t->v->rest;
    uint32_t at = t->owner[u], e;
-   double near, away[3];
+   double closest, away[3];
    int moved = 1;
    memset(best, 0, sizeof *best);
    best->score = -1.0;
    best->node[0] = best->node[1] = best->node[2] = at;
    best->weight[0] = 1.0f;
    dn__minus(rest + 3 * (size_t)u, rest + 3 * (size_t)at, away);
-   near = dn__dot3(away, away);
+   closest = dn__dot3(away, away);
    while (moved) { /* down to the nearest kept node, along the coarse mesh */
       uint32_t from = at;
       moved = 0;
@@ -11812,7 +11812,7 @@ static void dn__foot_find(const dn__thin *t, uint32_t u, dn__foot *best)
          double square;
          dn__minus(rest + 3 * (size_t)u, rest + 3 * (size_t)t->g.next[e], away);
          square = dn__dot3(away, away);
-         if (square < near) near = square, at = t->g.next[e], moved = 1;
+         if (square < closest) closest = square, at = t->g.next[e], moved = 1;
       }
    }
    dn__foot_around(t, u, at, best);
@@ -12748,9 +12748,9 @@ static int dn__unit_face(const dn_surface *s, size_t triangle, double n[3]) /* 0
 }
 static double dn__angle(double y, double x) /* of (x, y), y >= 0: 0 .. pi, to 5e-7 */
 {
-   double size = DN_FABS(x), small = size < y ? size : y, large = size < y ? y : size, t, u, a;
+   double size = DN_FABS(x), tiny = size < y ? size : y, large = size < y ? y : size, t, u, a;
    if (!(large > 0.0)) return 0.0;
-   t = small / large;
+   t = tiny / large;
    u = t * t;
    a = t * (0.99999933 + u * (-0.33326375 + u * (0.19879872 + u * (-0.13480406 + u * (0.08374156 + u * (-0.03689863 + u * 0.00782548))))));
    if (size < y) a = 1.5707963267948966 - a;
@@ -12852,10 +12852,10 @@ static void dn__surface_nearest(const dn_surface *s, const float point[3], uint3
          } else {
             float left = dn__box_square(s->boxes + 12 * (size_t)box, point);
             float right = dn__box_square(s->boxes + 12 * (size_t)box + 6, point);
-            uint32_t far = 2 * box + (left <= right);
-            stack[depth].box = far;
+            uint32_t other = 2 * box + (left <= right);
+            stack[depth].box = other;
             stack[depth++].square = left <= right ? right : left;
-            box = far ^ 1u;
+            box = other ^ 1u;
             here = left <= right ? left : right;
             continue;
          }
@@ -13197,7 +13197,7 @@ static dn_result dn__shape_names(const char *list, size_t joints, char *text, si
                                  size_t *bytes, dn_error *err)
 {
    dn__json j;
-   char small[2];
+   char tiny[2];
    size_t n = 0, length;
    memset(&j, 0, sizeof j);
    j.file = (const unsigned char *)list;
@@ -13207,7 +13207,7 @@ static dn_result dn__shape_names(const char *list, size_t joints, char *text, si
    if (!dn__json_need(&j, '[', "'[' before joint_names")) return j.code;
    if (!dn__json_is(&j, ']')) {
       do {
-         if (!dn__json_string(&j, "a joint name in quotes", text ? text + *bytes : small, text ? text_bytes - *bytes : sizeof small, &length)) return j.code;
+         if (!dn__json_string(&j, "a joint name in quotes", text ? text + *bytes : tiny, text ? text_bytes - *bytes : sizeof tiny, &length)) return j.code;
          if (names && n < joints) names[n] = text + *bytes;
          *bytes += length + 1;
          n++;

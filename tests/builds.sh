@@ -75,6 +75,8 @@ build gcc-more-warnings one.c gcc -std=gnu11 $W -O1 -Wformat=2 -Wnull-dereferenc
 build mingw-c99 one.c x86_64-w64-mingw32-gcc -std=c99 $W -O1
 build mingw-c++11 one.cpp x86_64-w64-mingw32-g++ -std=c++11 $W -O0
 build mingw-m32 one.c i686-w64-mingw32-gcc -std=c99 $W -O0
+printf '#include <windows.h>\n#define DEFORMNET_IMPLEMENTATION\n#include "deformnet.h"\n' > "$dir/windows.c" # whose macros take near, far, small
+build mingw-windows.h windows.c x86_64-w64-mingw32-gcc -std=c99 -Wall -Wextra -Werror -O0
 build aarch64-c99 one.c aarch64-linux-gnu-gcc -std=c99 $W -O1
 # clang knows other machines even without their libraries; the few headers needed are declared here
 mkdir "$dir/bare"
